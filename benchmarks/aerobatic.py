@@ -59,9 +59,7 @@ def bound_s(known: judge.Blocks, B: np.ndarray, loss: float) -> float:
     """Seconds until a loss is seen in 95 of 100, at best."""
     z, T = known.missing, known.thrust
     precision = judge._precision(z, judge.scatter(known))
-    per_block = np.mean(
-        [(precision * (B[:3, i] * T[:, i : i + 1] * loss) ** 2).sum(axis=1).mean() for i in range(T.shape[1])]
-    )
+    per_block = np.mean([(precision * (B[:3, i] * T[:, i : i + 1] * loss) ** 2).sum(axis=1).mean() for i in range(T.shape[1])])
     limit = np.sqrt(2.0 * np.log(FALSE_ALARM_PERIOD_S / judge.BLOCK_S * T.shape[1]))
     return float((limit + NormalDist().inv_cdf(0.95)) ** 2 / per_block * judge.BLOCK_S)
 
@@ -96,9 +94,7 @@ def main() -> None:
                     first = next((e for e in announced if e.detected_s >= onset), None)
                     rows.append((loss, first, rotor, onset))
     print(f"\nsurrogates: {alarms} false alarms in {hours:.1f} h\n")
-    print(
-        "| loss | trials | found | right rotor | or among the candidates | delay, median s | error, median | inside the interval |"
-    )
+    print("| loss | trials | found | right rotor | or among the candidates | delay, median s | error, median | inside the interval |")
     print("|---|---|---|---|---|---|---|---|")
     for loss in LOSSES:
         mine = [row[1:] for row in rows if row[0] == loss]

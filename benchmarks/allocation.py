@@ -265,20 +265,8 @@ def _counted(program, columns, single: bool) -> tuple[np.ndarray, int]:
         link = ["--specs=rdimon.specs", "-T", str(CORE / "an500.ld"), "-lm"]
         subprocess.run(["arm-none-eabi-gcc", *flags, *sources, *link, "-o", elf], check=True)
         subprocess.run(["arm-none-eabi-gcc", *flags, "-c", sources[0], "-o", str(folder / "one.o")], check=True)
-        board = [
-            "qemu-system-arm",
-            "-M",
-            "mps2-an500",
-            "-nographic",
-            "-semihosting",
-            "-icount",
-            "shift=0",
-            "-kernel",
-            elf,
-        ]
-        result = subprocess.run(
-            board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=True
-        )
+        board = ["qemu-system-arm", "-M", "mps2-an500", "-nographic", "-semihosting", "-icount", "shift=0", "-kernel", elf]
+        result = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=300, check=True)
         size = subprocess.run(["arm-none-eabi-size", str(folder / "one.o")], capture_output=True, text=True, check=True)
     return np.array(result.stdout.split(), float) * TICK / again, int(size.stdout.splitlines()[1].split()[0])
 

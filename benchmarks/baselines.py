@@ -108,27 +108,20 @@ def main() -> int:
         for scope in ("all", "uncut") if uncut else ("all",):
             counts[vehicle, size, scope, verdict] += 1
         flights[vehicle, row["path"].name][verdict] += 1
-    print(
-        f"| vehicle | baseline | {' | '.join(DAMAGED)} | {' | '.join(HEALTHY)} |\n{'|---' * (2 + len(DAMAGED + HEALTHY))}|"
-    )
+    print(f"| vehicle | baseline | {' | '.join(DAMAGED)} | {' | '.join(HEALTHY)} |\n{'|---' * (2 + len(DAMAGED + HEALTHY))}|")
     for vehicle, size, scope in sorted({key[:3] for key in counts}):
         row = [str(counts[vehicle, size, scope, verdict]) for verdict in DAMAGED + HEALTHY]
         print(f"| {vehicle} | {size}{', uncut' if scope == 'uncut' else ''} | {' | '.join(row)} |")
     print(f"\n{len(cases)} cases. By flight, all sizes:\n\n| vehicle | flight | answers |\n|---|---|---|")
     for (vehicle, name), verdict in sorted(flights.items()):
-        print(
-            f"| {vehicle} | {name.split('.bin')[0].split('.usd')[0]} | {', '.join(f'{k} {v}' for k, v in verdict.most_common())} |"
-        )
+        print(f"| {vehicle} | {name.split('.bin')[0].split('.usd')[0]} | {', '.join(f'{k} {v}' for k, v in verdict.most_common())} |")
     differ = 0
     for vehicle, size, _, row, baseline, found in rng.sample(cases, min(options.check, len(cases))):
         differ += not agrees(row, baseline, found, f"{vehicle}, {size}: {row['path'].name}")
     if options.check:
         print(f"\ndiagnose: {differ} of {min(options.check, len(cases))} cases differ.")
     if options.json:
-        table = [
-            {"vehicle": v, "baseline": k, "scope": s, "answer": a, "count": c}
-            for (v, k, s, a), c in sorted(counts.items())
-        ]
+        table = [{"vehicle": v, "baseline": k, "scope": s, "answer": a, "count": c} for (v, k, s, a), c in sorted(counts.items())]
         options.json.write_text(json.dumps(table, indent=1))
     return int(differ > 0)
 
@@ -142,16 +135,10 @@ def agrees(row, baseline, found, name: str) -> bool:
             print(f"- {name}: {why}")
         return found is None
     whole = answer.whole_flight
-    same = (
-        found is not None
-        and whole is not None
-        and (whole["verdict"], tuple(whole["rotors"])) == (found.verdict, found.rotors)
-    )
+    same = found is not None and whole is not None and (whole["verdict"], tuple(whole["rotors"])) == (found.verdict, found.rotors)
     sure = {r for e in answer.events if e.kind == "loss_of_effectiveness" and not e.alternatives for r in e.rotors}
     if not same or sure - set(row["damaged"]):
-        print(
-            f"- {name}: {whole and (whole['verdict'], whole['rotors'])}, in flight {sorted(sure)}; here {found and found.verdict}"
-        )
+        print(f"- {name}: {whole and (whole['verdict'], whole['rotors'])}, in flight {sorted(sure)}; here {found and found.verdict}")
     return same and not sure - set(row["damaged"])
 
 

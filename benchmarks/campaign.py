@@ -62,9 +62,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("plan", nargs="?", default=Path(__file__).parents[1] / "plans" / "default.toml")
     parser.add_argument("--cell", type=int, help="which combination of frame, autopilot and profile")
-    parser.add_argument(
-        "--flights", type=int, help="most flights of a cell; with --ways: of a campaign, the shorter one"
-    )
+    parser.add_argument("--flights", type=int, help="most flights of a cell; with --ways: of a campaign, the shorter one")
     parser.add_argument("--seconds", type=float, nargs="*", default=[60.0, 90.0, 120.0], help="lengths of the second")
     parser.add_argument("--repeats", type=int, default=2, help="the least of so many runs counts")
     parser.add_argument("--ways", action="store_true", help="whole campaigns by processes and by Dask workers")
@@ -85,9 +83,7 @@ def main() -> None:
     judged(plan, cells, least, width)  # compiles
     spent = [best(lambda n=n: judged(plan, cells, n, width), options.repeats) for n in counts]
     for n, cost in zip(counts, spent, strict=True):
-        print(
-            f"{n * each:6d} flights of {plan.scenario['duration_s']:g} s: {cost:7.2f} s, {cost / n / each:.4f} s a flight"
-        )
+        print(f"{n * each:6d} flights of {plan.scenario['duration_s']:g} s: {cost:7.2f} s, {cost / n / each:.4f} s a flight")
     if len(counts) > 1:
         print(f"grows with flights as their number to the power of {exponent(counts, spent):.2f}")
     phases(plan, cells, least, width, BY_LOGS if by_logs else BY_TICKS)
@@ -95,21 +91,15 @@ def main() -> None:
     costs = []
     for seconds in options.seconds:
         longer = replace(plan, scenario={**plan.scenario, "duration_s": seconds})
-        longer = replace(
-            longer, kinds=tuple(k._replace(scenario={**k.scenario, "duration_s": seconds}) for k in plan.kinds)
-        )
+        longer = replace(longer, kinds=tuple(k._replace(scenario={**k.scenario, "duration_s": seconds}) for k in plan.kinds))
         judged(longer, cells, least, width)
         costs.append(best(lambda p=longer: judged(p, cells, least, width), options.repeats))
-        print(
-            f"{least * each:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / least / each:.4f} s a flight"
-        )
+        print(f"{least * each:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / least / each:.4f} s a flight")
     if len(costs) > 1:
         print(f"grows with their length to the power of {exponent(options.seconds, costs):.2f}")
     for name, cost in simulated(plan, cells[0], width, options.repeats).items():
         steps = width * plan.scenario["duration_s"] * plan.flight(cells[0]).rate_hz
-        print(
-            f"{steps / cost:.3g} flight-steps a second by the clock: the simulator alone in {name}, {width} flights side by side"
-        )
+        print(f"{steps / cost:.3g} flight-steps a second by the clock: the simulator alone in {name}, {width} flights side by side")
 
 
 def ways(plan: Path, flights: int, rounds: int) -> None:
@@ -137,9 +127,7 @@ def ways(plan: Path, flights: int, rounds: int) -> None:
         print(f"| {name} | {1.0 / passed:.1f} | {1.0 / alone:.1f} | {1e3 * spent:.0f} |")
     for one, two in (("one process", "two processes"), ("one Dask worker", "two Dask workers")):
         times = middle[one][:2] / middle[two][:2]
-        print(
-            f"{two}: {times[0]:.2f} times as fast as {one}, on free processors {times[1]:.2f}, {times[1] / 2:.2f} of twice"
-        )
+        print(f"{two}: {times[0]:.2f} times as fast as {one}, on free processors {times[1]:.2f}, {times[1] / 2:.2f} of twice")
 
 
 def flown(plan: Path, count: int, workers: int, dask: many.Cluster | None) -> np.ndarray:
@@ -184,9 +172,7 @@ def simulated(plan: Plan, cell: int, width: int, repeats: int) -> dict[str, floa
         spent = []
         for _ in range(1 + repeats):  # the first one compiles
             began = time.perf_counter()
-            jax.block_until_ready(
-                loop.fly_many(MULTIROTOR, numbers, one.duration_s, one.rate_hz, one.record_hz, logbook.needed)
-            )
+            jax.block_until_ready(loop.fly_many(MULTIROTOR, numbers, one.duration_s, one.rate_hz, one.record_hz, logbook.needed))
             spent.append(time.perf_counter() - began)
         found[name] = min(spent[1:])
     return found

@@ -45,15 +45,7 @@ def main() -> None:
     options = parser.parse_args()
     frames, greeting = packed(options.flight, 1, options.seconds)
     port = free_port()
-    command = [
-        *shlex.split(options.python),
-        "-m",
-        "rotorwatch",
-        "watch",
-        f"udpin:127.0.0.1:{port}",
-        "--listen-only",
-        "--jsonl",
-    ]
+    command = [*shlex.split(options.python), "-m", "rotorwatch", "watch", f"udpin:127.0.0.1:{port}", "--listen-only", "--jsonl"]
     with tempfile.TemporaryFile("w+") as said:
         process = subprocess.Popen([*command, "--patience", "600"], stdout=said)
         sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -81,9 +73,7 @@ def main() -> None:
         code = process.wait(120.0)
         said.seek(0)
         lines = said.read().splitlines()
-    print(
-        f"port open after {opened:.1f} s; {spent:.1f} s of processor time until {options.seconds / 5:.0f} s into the flight"
-    )
+    print(f"port open after {opened:.1f} s; {spent:.1f} s of processor time until {options.seconds / 5:.0f} s into the flight")
     print(f"one vehicle at 50 Hz: {share:.1%} of one core, {held:.0f} MB; exit code {code}")
     for line in lines:
         print(line[:200])

@@ -32,33 +32,16 @@ By frame: [comparison-closed-loop.csv](comparison-closed-loop.csv).
 """
 PAIR = ("detected", "right")
 COLUMNS = (
-    *(
-        "frame",
-        "method",
-        "like_first",
-        "found_percent",
-        "found_low",
-        "found_high",
-        "delay_s",
-        "right_percent",
-        "size_error",
-    ),
+    *("frame", "method", "like_first", "found_percent", "found_low", "found_high", "delay_s", "right_percent", "size_error"),
     *("coverage_percent", "own_alarms_h", "us_per_step"),
 )
-UP_COLUMNS = (
-    "driver",
-    "stays up, of those that the truth saves, %",
-    "acted falsely, flights an hour",
-    "first acted after, s",
-)
+UP_COLUMNS = ("driver", "stays up, of those that the truth saves, %", "acted falsely, flights an hour", "first acted after, s")
 UP_FRAMES = ("quad-x", "hexa-x")
 
 
 def percent(share: dict | None) -> str:
     """A share in per cent, which the head of its column says, with its interval."""
-    return (
-        "-" if share is None else "{:.0f} ({:.0f}–{:.0f})".format(*(100 * share[k] for k in ("value", "low", "high")))
-    )
+    return "-" if share is None else "{:.0f} ({:.0f}–{:.0f})".format(*(100 * share[k] for k in ("value", "low", "high")))
 
 
 def unsigned(cell: str) -> str:
@@ -79,9 +62,7 @@ def number(value: dict | None) -> str:
 def staying_up(found: dict) -> tuple[str, list[list[str]]]:
     """The closed loop, the best first: in Markdown, and the rows of comparison-closed-loop.csv with the shares by frame."""
     lines = [f"| {' | '.join(UP_COLUMNS)} |", "|---" * len(UP_COLUMNS) + "|"]
-    rows = [
-        ["driver", "stays_up_percent", *(f"{frame}_percent" for frame in UP_FRAMES), "acted_falsely_h", "first_acted_s"]
-    ]
+    rows = [["driver", "stays_up_percent", *(f"{frame}_percent" for frame in UP_FRAMES), "acted_falsely_h", "first_acted_s"]]
     for name, m in sorted(found["drivers"].items(), key=lambda row: -row[1]["of_possible"]["value"]):
         share, false, first = percent(m["of_possible"]), bare(number(m["false_h"])), bare(number(m["first_s"]))
         frames = [bare(percent(m["possible_by_frame"][frame])) for frame in UP_FRAMES]
@@ -99,9 +80,7 @@ def table(ranked: dict) -> str:
     """The ranking of the first frame in Markdown, with all scores."""
     plan, rows = ranked["plan"], ranked["rows"]
     scores = rows[0]["scores"]
-    count = (
-        f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
-    )
+    count = f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
     heads = [head + (", %" if key in ranking.SHARES else "") for key, head in ranking.COLUMNS.items()]
     lines = [
         f"\n## {name_of(ranked)}\n",
@@ -173,9 +152,7 @@ def main() -> None:
     arguments.add_argument("--frames", default=",".join(FRAMES), help="whose tables are made")
     arguments.add_argument("--closed-loop", action="store_true", help="also fly with the estimates in the loop")
     arguments.add_argument("--methods", default="all")
-    arguments.add_argument(
-        "--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept"
-    )
+    arguments.add_argument("--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept")
     arguments.add_argument("--out", type=Path, default=Path(tempfile.gettempdir()) / "rotorwatch-comparison")
     options = arguments.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)

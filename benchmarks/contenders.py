@@ -22,11 +22,7 @@ from rotorwatch_lab.systems.rigid_body import RigidBody
 
 DT = 0.01
 METHODS = ("ukf", "ekf", "tsukf", "mhe")
-LOSS, MORE, ROTOR = (
-    0.2,
-    0.15,
-    1,
-)  # of all rotors; of one in addition, after a third of the flight: off the bounds of the MHE
+LOSS, MORE, ROTOR = (0.2, 0.15, 1)  # of all rotors; of one in addition, after a third of the flight: off the bounds of the MHE
 FLOOR = Path(__file__).resolve().parent / "floor"
 COMPILER_FLAGS = ("-std=c++17", "-O3", "-march=native", "-DNDEBUG", "-fPIC", "-shared", "-w")
 
@@ -142,9 +138,7 @@ def eigen() -> Path:
     for place in places:
         if place and (Path(place) / "Eigen" / "Dense").exists():
             return Path(place)
-    raise SystemExit(
-        "Eigen's headers are missing: install the extra `benchmark` or libeigen3-dev, or set EIGEN3_INCLUDE_DIR."
-    )
+    raise SystemExit("Eigen's headers are missing: install the extra `benchmark` or libeigen3-dev, or set EIGEN3_INCLUDE_DIR.")
 
 
 def build_floor(folder: Path) -> ctypes.CDLL:
@@ -154,15 +148,7 @@ def build_floor(folder: Path) -> ctypes.CDLL:
         raise SystemExit("A C++ compiler is missing: install g++ or clang++, or set CXX.")
     (folder / "numbers.hpp").write_text(_numbers(), encoding="utf-8")
     goal = folder / "floor.so"
-    command = [
-        compiler,
-        *COMPILER_FLAGS,
-        f"-I{folder}",
-        f"-isystem{eigen()}",
-        "-o",
-        str(goal),
-        str(FLOOR / "floor.cpp"),
-    ]
+    command = [compiler, *COMPILER_FLAGS, f"-I{folder}", f"-isystem{eigen()}", "-o", str(goal), str(FLOOR / "floor.cpp")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{compiler} cannot build benchmarks/floor:\n{done.stderr[:2000]}")

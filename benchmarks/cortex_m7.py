@@ -156,11 +156,7 @@ def code_bytes(folder: Path, chip: tuple[str, ...], names: list[str]) -> tuple[i
         command = ["arm-none-eabi-gcc", *chip, "-fstack-usage", "-c", name, "-o", f"{Path(name).stem}.o"]
         subprocess.run(command, check=True, cwd=folder)
     size = subprocess.run(
-        ["arm-none-eabi-size", *(f"{Path(name).stem}.o" for name in names)],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=folder,
+        ["arm-none-eabi-size", *(f"{Path(name).stem}.o" for name in names)], capture_output=True, text=True, check=True, cwd=folder
     )
     frames = [line.split("\t") for path in folder.glob("*.su") for line in path.read_text().splitlines()]
     assert all(kind == "static" for _, _, kind in frames)
@@ -200,10 +196,7 @@ def diagnoser() -> None:
                 text, frame = code_bytes(folder, chip, names)
                 tick, whole, piece, landing, feed, poll, said = (n * TICK for n in counts)
                 millions = [f"{n / 1e6:.2f}" for n in (tick, whole)]
-                thousands = [f"{n / 1e3:.0f}" for n in (max(piece, landing), landing)] + [
-                    f"{feed / 1e3:.1f}",
-                    f"{(poll + said) / 1e3:.0f}",
-                ]
+                thousands = [f"{n / 1e3:.0f}" for n in (max(piece, landing), landing)] + [f"{feed / 1e3:.1f}", f"{(poll + said) / 1e3:.0f}"]
                 row = [f"{text / 1e3:.0f}", f"{size / 1e3:.0f}", str(stack), str(frame), *millions, *thousands]
                 print(f"| {vehicle}, {precision} | {' | '.join(row)} |", flush=True)
 

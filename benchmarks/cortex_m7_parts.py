@@ -44,9 +44,7 @@ def written(n: int, folder: Path) -> None:
 
 
 def run(command, **options) -> str:
-    return subprocess.run(
-        [str(c) for c in command], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, **options
-    ).stdout
+    return subprocess.run([str(c) for c in command], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True, **options).stdout
 
 
 def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
@@ -56,25 +54,13 @@ def measured(n: int, single: bool) -> dict[str, tuple[int, int, int, int]]:
         written(n, folder)
         flags = [*CHIP, f"-I{folder}", f"-I{SOURCES}", *(["-DROTORWATCH_FLOAT"] if single else [])]
         link = [CORE / "startup.c", "--specs=rdimon.specs", "-T", CORE / "an500.ld", "-lm"]
-        run(
-            [
-                "arm-none-eabi-gcc",
-                *flags,
-                folder / "rw_front.c",
-                HERE / "cortex_m7_parts.c",
-                *link,
-                "-o",
-                folder / "m7.elf",
-            ],
-            cwd=folder,
-        )
+        run(["arm-none-eabi-gcc", *flags, folder / "rw_front.c", HERE / "cortex_m7_parts.c", *link, "-o", folder / "m7.elf"], cwd=folder)
         result = run([*BOARD, folder / "m7.elf"], timeout=120)
         calls = {part: int(count) * TICK for part, count in (line.split()[:2] for line in result.splitlines())}
         calls["losses"] += calls["list"]
         run(["arm-none-eabi-gcc", *flags, "-c", folder / "rw_front.c", "-o", folder / "part.o"], cwd=folder)
         (folder / "size.c").write_text(
-            '#include "rw_front.h"\n'
-            + "".join(f"char of_{part}[sizeof({struct})];\n" for part, (struct, *_) in PARTS.items())
+            '#include "rw_front.h"\n' + "".join(f"char of_{part}[sizeof({struct})];\n" for part, (struct, *_) in PARTS.items())
         )
         run(["arm-none-eabi-gcc", *flags, "-c", folder / "size.c", "-o", folder / "size.o"], cwd=folder)
         states = {name: size for size, _, name in symbols(folder / "size.o")}

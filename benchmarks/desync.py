@@ -146,10 +146,7 @@ def real(folder: Path, hours: float) -> None:
         known.append(seen)
         own = float(seen[0].flies.sum()) * seen[0].width
         seconds += own
-        print(
-            json.dumps({"log": name, "flies_s": round(own, 1), "found": [d._asdict() for d in desync.search(seen)]}),
-            flush=True,
-        )
+        print(json.dumps({"log": name, "flies_s": round(own, 1), "found": [d._asdict() for d in desync.search(seen)]}), flush=True)
         turn = responses(flight, vehicle, air)
         for length in LENGTHS_S:
             made, truth = inject(flight, vehicle, air, turn, length, rng)
@@ -189,9 +186,7 @@ def responses(flight: Flight, vehicle, air) -> np.ndarray:
     return np.array(out)
 
 
-def inject(
-    flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, least: float = LEVELS[0], spacing_s: float = 3.0
-):
+def inject(flight: Flight, vehicle, air, turn: np.ndarray, length: float, rng, least: float = LEVELS[0], spacing_s: float = 3.0):
     """(flight with desyncs of so many s, [(rotor, start, length, commanded)])."""
     commanded, gyro = motor_thrusts(flight, vehicle), flight["gyro"]
     time, rate, B, truth = commanded.time, gyro.values.copy(), vehicle.effectiveness()[:3], []
@@ -199,11 +194,7 @@ def inject(
     while (now := now + 0.3) + length + 2.0 < air[-1][1]:
         rotor, start = int(rng.integers(B.shape[1])), now + rng.uniform(0.0, 0.3)
         box = (time >= start) & (time < start + length)
-        if (
-            not box.any()
-            or commanded.values[box, rotor].mean() < least
-            or not any(a + 1.5 < start < b - 1.5 for a, b in air)
-        ):
+        if not box.any() or commanded.values[box, rotor].mean() < least or not any(a + 1.5 < start < b - 1.5 for a, b in air):
             continue
         first, last = np.searchsorted(time, [start, start + length + 0.3])
         missing = (commanded.values[:, rotor] * box)[first:last]

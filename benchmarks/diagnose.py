@@ -111,14 +111,9 @@ def main() -> None:
             estimating = min(run[3]["timing"]["estimate_s"] for run in runs)
             beyond = f"{(peak - base) / size:.1f} x" if long else ""
             print(
-                f"| {what} | {minutes:.1f} | {size:.1f} | {wall:.1f} | {cpu:.1f} | {estimating:.1f} | {peak:.0f} | {beyond} |",
-                flush=True,
+                f"| {what} | {minutes:.1f} | {size:.1f} | {wall:.1f} | {cpu:.1f} | {estimating:.1f} | {peak:.0f} | {beyond} |", flush=True
             )
-    print(
-        "\nImports: "
-        + ", ".join(f"{m} {import_seconds(m):.2f} s" for m in ("numpy", "rotorwatch.commands.cli", "jax"))
-        + "."
-    )
+    print("\nImports: " + ", ".join(f"{m} {import_seconds(m):.2f} s" for m in ("numpy", "rotorwatch.commands.cli", "jax")) + ".")
 
 
 def _cpu_seconds() -> float:

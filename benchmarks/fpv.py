@@ -48,9 +48,7 @@ def batch(number: int, healthy: bool, curves: bool = False) -> list[dict]:
     wrong = [[] if healthy else drawn(rng, j) for j in range(BATCH)]
     rpm = bool(number % 2)
     expo = rng.uniform(0.0, 1.0, BATCH).tolist() if curves else fpv.EXPO
-    flights = fpv.fly(
-        BATCH, DURATION_S, 10_000 * (1 + healthy) + number, tuple(m for ms in wrong for m in ms), rpm, expo
-    )
+    flights = fpv.fly(BATCH, DURATION_S, 10_000 * (1 + healthy) + number, tuple(m for ms in wrong for m in ms), rpm, expo)
     return [judged(flight, ms, rpm) for flight, ms in zip(flights, wrong)]
 
 
@@ -83,9 +81,7 @@ def judged(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
     for m in lost:
         end = m.start + m.lasting
         near = [r for r, a, b in desyncs if (a < end and b > m.start) or abs(a - m.start) < NEAR_S]
-        row["faults"].append(
-            {"length": m.lasting, "found": (m.rotor + 1,) in near, "wrong": bool(near) and (m.rotor + 1,) not in near}
-        )
+        row["faults"].append({"length": m.lasting, "found": (m.rotor + 1,) in near, "wrong": bool(near) and (m.rotor + 1,) not in near})
     times = {t for _, t, _ in desyncs}
     row["false"] += sum(all(not m.start - 0.3 < t < m.start + m.lasting + 0.4 for m in lost) for t in times)
     return row
@@ -118,9 +114,7 @@ def table(rows: list[dict]) -> None:
             }))  # fmt: skip
     hours = sum(AIR_S for row in rows if not row["faults"]) / 3600.0
     healthy = [row for row in rows if not row["faults"]]
-    verdicts = {
-        word: sum(row["verdict"] == word for row in healthy) for word in sorted({r["verdict"] for r in healthy})
-    }
+    verdicts = {word: sum(row["verdict"] == word for row in healthy) for word in sorted({r["verdict"] for r in healthy})}
     false = sum(row["false"] for row in rows)
     print(json.dumps({
         "flights": len(rows), "healthy_hours": round(hours, 2), "verdicts of healthy flights": verdicts,

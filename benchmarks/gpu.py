@@ -69,9 +69,7 @@ def main() -> None:
     options = parser.parse_args()
     found = gpus()
     if not found:
-        print(
-            'JAX finds no GPU on this computer; where there is one, install its driver for JAX: pip install "jax[cuda12]".'
-        )
+        print('JAX finds no GPU on this computer; where there is one, install its driver for JAX: pip install "jax[cuda12]".')
         return
     print(f"{found[0].device_kind}; {options.flights} flights of {BATCH_STEPS} steps\n")
     print("| method | two cores us | GPU us | times faster |\n|---|---|---|---|")
@@ -82,9 +80,7 @@ def main() -> None:
         same(method, cores(*tables).reshape(-1, 20), gpu(*tables).reshape(-1, 20), "the GPU")
         rounds = [(timed(partial(cores, *tables)), timed(partial(gpu, *tables))) for _ in range(options.rounds)]
         ours, theirs = (1e6 * statistics.median(s) / (count * BATCH_STEPS) for s in zip(*rounds, strict=True))
-        print(
-            f"| {method} | {ours:.2f} | {theirs:.3f} | {statistics.median(a / b for a, b in rounds):.1f} |", flush=True
-        )
+        print(f"| {method} | {ours:.2f} | {theirs:.3f} | {statistics.median(a / b for a, b in rounds):.1f} |", flush=True)
 
 
 if __name__ == "__main__":

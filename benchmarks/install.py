@@ -24,9 +24,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 LARGEST = 12
-PYTHON = getattr(
-    sys, "_base_executable", sys.executable
-)  # not an environment's own, which may have more than a new one
+PYTHON = getattr(sys, "_base_executable", sys.executable)  # not an environment's own, which may have more than a new one
 # What scripts that tools make call, besides Python.
 COMMON = "sh", "dirname", "realpath"
 SAMPLE = Path(__file__).resolve().parents[1] / "src/rotorwatch/samples/hexax_m3_mul0.80_square_wind.bin.xz"
@@ -127,9 +125,7 @@ def of_wheel(wheel: Path) -> None:
         load = os.getloadavg()[0]
         table = rows(wheel, scratch)
         print(f"Python {sys.version.split()[0]}; load of the computer {load:.1f} to {os.getloadavg()[0]:.1f}\n")
-        print(
-            "| tool | install, s | first `diagnose`, s | second `diagnose`, s | `demo`, s | MB |\n|---|---|---|---|---|---|"
-        )
+        print("| tool | install, s | first `diagnose`, s | second `diagnose`, s | `demo`, s | MB |\n|---|---|---|---|---|---|")
         for tool, took, commands, size in table:
             print(f"| {tool} | {took} | {' | '.join(map(str, commands))} | {size:.0f} |")
 
@@ -146,9 +142,7 @@ def of_sources(source: str) -> None:
         sizes = {p.name: megabytes(p) for p in packages.iterdir() if p.name not in before}
         env = {**env, "ROTORWATCH_CACHE": str(Path(scratch) / "empty"), "CC": "none"}
         verdicts = [timed(place / "bin" / "rotorwatch", "diagnose", SAMPLE, env=env, said=FOUND) for _ in range(2)]
-        print(
-            f"{source}: installed in {took} s, {sum(sizes.values()):.0f} MB; verdicts in {verdicts[0]} and {verdicts[1]} s"
-        )
+        print(f"{source}: installed in {took} s, {sum(sizes.values()):.0f} MB; verdicts in {verdicts[0]} and {verdicts[1]} s")
         for name, size in sorted(sizes.items(), key=lambda item: -item[1])[:LARGEST]:
             print(f"  {size:6.1f} MB  {name}")
 

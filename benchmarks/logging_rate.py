@@ -66,11 +66,7 @@ def measured(flight, vehicle, air) -> dict | None:
             judged = np.concatenate([np.zeros(onset), np.cumsum(valid[onset:, 0])]) * table.dt
             for loss in LOSSES:
                 delays[loss].append(limits.delay(judged, known, loss, 0.0, PERIOD_S))
-    return {
-        "judged": len(seen) * table.dt,
-        "sd": float(np.median(sds)),
-        **{k: float(np.median(v)) for k, v in delays.items()},
-    }
+    return {"judged": len(seen) * table.dt, "sd": float(np.median(sds)), **{k: float(np.median(v)) for k, v in delays.items()}}
 
 
 def main() -> None:

@@ -140,9 +140,7 @@ def samples(flights: Path, folder: Path) -> list[tuple[str, Path, dict[str, Call
     telemetry.write_bytes(largest(flights, "*.tlog*"))
     box.write_bytes(largest(flights / "blackbox", "*.[bBT]*"))
     (folder / "simulated").mkdir()
-    flown = px4_log(
-        folder / "simulated", folder / "simulated"
-    )  # those of the folder are older than the messages of bags
+    flown = px4_log(folder / "simulated", folder / "simulated")  # those of the folder are older than the messages of bags
     (bag,) = ros2_bags.write(folder / "bag", ros2_bags.of_ulog(flown)).glob("*.mcap")
     return [
         ("DataFlash", binary, {"pymavlink": dataflash}),
@@ -185,10 +183,7 @@ def main() -> None:
                 rounds = [(spent(logs.read, path), spent(read, path)) for _ in range(options.rounds)]
                 ours, theirs = (min(seconds) for seconds in zip(*rounds, strict=True))
                 times = statistics.median(other / own for own, other in rounds)
-                print(
-                    f"| {kind} | {size:.1f} | {size / ours:.0f} | {name} | {size / theirs:.2g} | {times:.2g} |",
-                    flush=True,
-                )
+                print(f"| {kind} | {size:.1f} | {size / ours:.0f} | {name} | {size / theirs:.2g} | {times:.2g} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -117,11 +117,7 @@ def overhead(options: argparse.Namespace) -> None:
     """Milliseconds for an item, by the clock and of processors, and how both grow with their number. The clock says little when others use
     the computer."""
     with cluster(2) as dask:
-        ways = {
-            "in line": ({"jobs": 1}, 200),
-            "two processes": ({"jobs": 2}, 20),
-            "two Dask workers": ({"scheduler": dask.address}, 1),
-        }
+        ways = {"in line": ({"jobs": 1}, 200), "two processes": ({"jobs": 2}, 20), "two Dask workers": ({"scheduler": dask.address}, 1)}
         for name, (how, times) in ways.items():
             over = dask if "scheduler" in how else None
             drain(200, **how)()
@@ -169,13 +165,9 @@ def calls(options: argparse.Namespace) -> None:
     subprocess.run([*COMMAND, *options.logs], **quiet)
     separate = timed(lambda: [subprocess.run([*COMMAND, log], **quiet) for log in options.logs])
     together = timed(lambda: subprocess.run([*COMMAND, *options.logs, "--jobs", str(options.jobs)], **quiet))
-    print(
-        f"{len(options.logs)} logs: {separate:.1f} s in a call each, {together:.1f} s in one: {together / separate:.2f} of it"
-    )
+    print(f"{len(options.logs)} logs: {separate:.1f} s in a call each, {together:.1f} s in one: {together / separate:.2f} of it")
     began = time.perf_counter()
-    process = subprocess.Popen(
-        [*COMMAND, *options.logs, "--jsonl", "--jobs", str(options.jobs)], stdout=subprocess.PIPE
-    )
+    process = subprocess.Popen([*COMMAND, *options.logs, "--jsonl", "--jobs", str(options.jobs)], stdout=subprocess.PIPE)
     assert process.stdout is not None
     lines = [time.perf_counter() - began for _ in process.stdout]
     print(f"the first answer after {lines[0]:.1f} s, the last after {lines[-1]:.1f} s")
@@ -188,19 +180,14 @@ def workers(options: argparse.Namespace) -> None:
     with cluster(0) as dask:
         each = -(-options.workers // options.processes)
         command = [sys.executable, __file__, "host", dask.address, str(each)]
-        hosts = [
-            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            for _ in range(options.processes)
-        ]
+        hosts = [subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) for _ in range(options.processes)]
         try:
             with distributed.Client(dask.address, set_as_default=False) as client:
                 began = time.perf_counter()
                 with suppress(TimeoutError):  # then with those that have come
                     client.wait_for_workers(each * options.processes, timeout=options.patience)
                 there: Any = client.nthreads()
-                print(
-                    f"{len(there)} of {each * options.processes} workers are there after {time.perf_counter() - began:.0f} s"
-                )
+                print(f"{len(there)} of {each * options.processes} workers are there after {time.perf_counter() - began:.0f} s")
             for tasks in (options.workers, 4 * options.workers, 10 * options.workers):
                 spent = timed(drain(tasks, scheduler=dask.address))
                 print(f"{tasks} tasks: {spent:.1f} s, {1e3 * spent / tasks:.2f} ms each, load {os.getloadavg()[0]:.1f}")
@@ -254,10 +241,7 @@ def kills(options: argparse.Namespace) -> None:
                 if client.poll() is not None:  # the same command goes on
                     client = subprocess.Popen(command, stderr=subprocess.DEVNULL)
             same = read(out) == wanted
-            print(
-                f"round {rounds}: {count} kills so far ({killed}), {len(wanted)} rows, {'the same' if same else 'DIFFERENT'}",
-                flush=True,
-            )
+            print(f"round {rounds}: {count} kills so far ({killed}), {len(wanted)} rows, {'the same' if same else 'DIFFERENT'}", flush=True)
             if not same:
                 raise SystemExit(1)
 

@@ -152,10 +152,7 @@ def main() -> None:
         for (name, number), (verdict, reasons) in zip(work, found, strict=True):
             print(name or "healthy", number, verdict, *(f"\n    {kind}: {why}" for kind, why in reasons.items()))
     rows = [
-        [
-            kinds.kind_of(name).noun,
-            *(f"{sum(name in said for (own, _), (_, said) in zip(work, found) if own == of)}" for of in (name, "")),
-        ]
+        [kinds.kind_of(name).noun, *(f"{sum(name in said for (own, _), (_, said) in zip(work, found) if own == of)}" for of in (name, ""))]
         for name in options.kind or KINDS
     ]
     heads = ("notice", f"told in {options.flights} flights of its kind", f"told in {options.healthy} healthy flights")

@@ -66,13 +66,7 @@ def functions(compiled: bool) -> dict:
         turning, across, rate = w[1] * s[0] + w[2] * c[0], w[1] * c[0] - w[2] * s[0], (w[1] * s[0] + w[2] * c[0]) / c[1]
         D = np.zeros((N, N))
         D[0, 6] = D[1, 7] = D[2, 8] = 1.0
-        D[3, 3], D[3, 4], D[4, 3], D[5, 3], D[5, 4] = (
-            across * s[1] / c[1],
-            rate / c[1],
-            -turning,
-            across / c[1],
-            rate * s[1] / c[1],
-        )
+        D[3, 3], D[3, 4], D[4, 3], D[5, 3], D[5, 4] = (across * s[1] / c[1], rate / c[1], -turning, across / c[1], rate * s[1] / c[1])
         D[3, 9], D[3, 10], D[3, 11] = 1.0, s[0] * s[1] / c[1], c[0] * s[1] / c[1]
         D[4, 10], D[4, 11], D[5, 10], D[5, 11] = c[0], -s[0], s[0] / c[1], c[0] / c[1]
         D[6, 3], D[7, 3] = -push * (-s[0] * s[1] * c[2] + c[0] * s[2]), -push * (-s[0] * s[1] * s[2] - c[0] * c[2])
@@ -181,15 +175,7 @@ def functions(compiled: bool) -> dict:
             out[k, N:] = np.diag(P_theta)
         return out
 
-    return {
-        "f": f,
-        "slope": slope,
-        "ekf": ekf,
-        "ukf": ukf,
-        "tsukf": tsukf,
-        "full": run_full,
-        "two stage": run_two_stage,
-    }
+    return {"f": f, "slope": slope, "ekf": ekf, "ukf": ukf, "tsukf": tsukf, "full": run_full, "two stage": run_two_stage}
 
 
 def start() -> np.ndarray:
@@ -225,9 +211,7 @@ def _filterpy(name: str):
 
     def unscented(u, y, valid):
         sigma = kalman.MerweScaledSigmaPoints(N, 0.1, 2.0, 0.0)
-        method = kalman.UnscentedKalmanFilter(
-            N, 6, DT, lambda x: x[:6], lambda x, dt, u: own["f"](x[:, None], u)[:, 0], sigma
-        )
+        method = kalman.UnscentedKalmanFilter(N, 6, DT, lambda x: x[:6], lambda x, dt, u: own["f"](x[:, None], u)[:, 0], sigma)
         method.P, method.Q, method.R = start(), Q, R
         out = np.empty((len(u), 20))
         for k in range(len(u)):

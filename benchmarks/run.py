@@ -27,9 +27,7 @@ from functools import partial
 from pathlib import Path
 
 if importlib.util.find_spec("jax") is None:
-    raise SystemExit(
-        'JAX is missing: install the extras `benchmark` and `research`: pip install -e ".[benchmark,research]"'
-    )
+    raise SystemExit('JAX is missing: install the extras `benchmark` and `research`: pip install -e ".[benchmark,research]"')
 os.environ.setdefault("XLA_FLAGS", f"--xla_force_host_platform_device_count={os.cpu_count()}")  # before JAX is imported
 
 import numpy as np
@@ -47,13 +45,9 @@ GAPS, FULL = 2000, 300  # rows compared: with missing measurements, and all ther
 SHARE = {"mhe": 0.05}  # of the steps of one flight
 PEER_SECONDS = 0.5  # that a peer's turn may take
 BATCH, CHUNK = {"mhe": 100}, {"mhe": 10}  # flights (else 1000); flights at once (else 50)
-BATCH_STEPS = (
-    300  # of each: the C++ moving horizon solves the part of its window that is filled, ours always solves all of it
-)
+BATCH_STEPS = 300  # of each: the C++ moving horizon solves the part of its window that is filled, ours always solves all of it
 LIVE_STEPS = 20_000
-DEVICES = {
-    "mhe": 1
-}  # JAX's; its small factors and loops, run on two of the processor's devices at once, wait for each other for ever
+DEVICES = {"mhe": 1}  # JAX's; its small factors and loops, run on two of the processor's devices at once, wait for each other for ever
 CORES = os.cpu_count() or 1
 CHILD = """
 import sys; sys.path.insert(0, {here!r})
@@ -120,18 +114,14 @@ def single_flight(library, steps: int, rounds: int, clock: Callable[[], float]) 
     for method in METHODS:
         rows = max(1000, int(steps * SHARE.get(method, 1.0)))
         table = flight(rows)
-        everyone = (
-            {b: Rotorwatch(method, b) for b in ("jax", "native")} | {"floor": Floor(library, method)} | peers(method)
-        )
+        everyone = {b: Rotorwatch(method, b) for b in ("jax", "native")} | {"floor": Floor(library, method)} | peers(method)
         contenders = {}
         for name, run in everyone.items():
             run(*(a[:100] for a in table))  # compiled, and warm
             start = time.perf_counter()
             run(*(a[:100] for a in table))
             # At least 100 rows of the slow ones, all of the fast ones.
-            mine = (
-                rows if name in ("jax", "native", "floor") else int(PEER_SECONDS / (time.perf_counter() - start) * 100)
-            )
+            mine = rows if name in ("jax", "native", "floor") else int(PEER_SECONDS / (time.perf_counter() - start) * 100)
             part = tuple(a[: min(rows, max(100, mine))] for a in table)
             contenders[name] = clocked(partial(run, *part), len(part[0]), clock)
         out[method] = {**summary(turns(contenders, rounds), ("jax", "native")), "steps": rows}
@@ -194,11 +184,7 @@ def jax_batch(method: str, chunk: int, devices: int = CORES) -> Callable:
         shares = [list(starts)[k :: len(used)] for k in range(len(used))]
         with ThreadPoolExecutor(len(used)) as pool:
             done = list(pool.map(lambda part: all_of(part[0], tables, part[1]), zip(used, shares, strict=True)))
-        order = {
-            k: result
-            for share, results in zip(shares, done, strict=True)
-            for k, result in zip(share, results, strict=True)
-        }
+        order = {k: result for share, results in zip(shares, done, strict=True) for k, result in zip(share, results, strict=True)}
         return np.concatenate([order[k] for k in starts])
 
     return call
@@ -233,9 +219,7 @@ def start_and_memory(flights: Path, rounds: int) -> tuple[dict, dict]:
             def run(rows, code=(kind, make), environment=environment):
                 text = CHILD.format(here=str(HERE), kind=code[0], make=code[1], rows=rows)
                 began = time.perf_counter()
-                done = subprocess.run(
-                    [sys.executable, "-c", text], env=environment, capture_output=True, text=True, check=True
-                )
+                done = subprocess.run([sys.executable, "-c", text], env=environment, capture_output=True, text=True, check=True)
                 return time.perf_counter() - began, int(done.stdout.split()[-1]) * 1024 / 1e6
 
             if name != "numpy":
@@ -279,10 +263,7 @@ def tables(result: dict) -> str:
             continue
         names = sorted({name for row in result[part].values() for name in row["peers"]})
         lines += [f"{title}, microseconds a step:", ""]
-        lines += [
-            "| " + " | ".join(["method", "C++", "native", "JAX", "best / C++", *names]) + " |",
-            "|---" * (5 + len(names)) + "|",
-        ]
+        lines += ["| " + " | ".join(["method", "C++", "native", "JAX", "best / C++", *names]) + " |", "|---" * (5 + len(names)) + "|"]
         for method, row in result[part].items():
             cells = [f"{row[k]:.2f}" for k in ("floor_us", "native_us", "jax_us", "ratio")]
             others = [f"{row['peers'][name]:.0f}" if name in row["peers"] else "" for name in names]
@@ -290,32 +271,24 @@ def tables(result: dict) -> str:
         lines.append("")
     if "live" in result:
         lines += ["| live step | p50 us | p99 us |", "|---|---|---|"]
-        lines += [
-            f"| {m} | {row['p50_us']:.1f} | {row['p99_us']:.1f} |" for m, row in result["live"]["methods"].items()
-        ]
+        lines += [f"| {m} | {row['p50_us']:.1f} | {row['p99_us']:.1f} |" for m, row in result["live"]["methods"].items()]
     for part in ("start", "memory", "read"):
         lines += ["", f"| {part} | |", "|---|---|"]
-        lines += [
-            f"| {name} | {value:.2f} |" for name, value in result.get(part, {}).items() if isinstance(value, float)
-        ]
+        lines += [f"| {name} | {value:.2f} |" for name, value in result.get(part, {}).items() if isinstance(value, float)]
     return "\n".join(lines)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, default=None)
-    parser.add_argument(
-        "--parts", type=lambda text: text.split(","), default=PARTS, help="some; with --json: into that file"
-    )
+    parser.add_argument("--parts", type=lambda text: text.split(","), default=PARTS, help="some; with --json: into that file")
     parser.add_argument("--cpu", action="store_true")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=60_000)
     parser.add_argument("--flights", type=Path, default=HERE.parents[0] / "../shared/flights")
     chosen = parser.parse_args()
     one, many = (time.process_time, lambda: time.process_time() / CORES) if chosen.cpu else (time.perf_counter,) * 2
-    result: dict = (
-        json.loads(chosen.json.read_text()) if chosen.parts != PARTS and chosen.json and chosen.json.exists() else {}
-    )
+    result: dict = json.loads(chosen.json.read_text()) if chosen.parts != PARTS and chosen.json and chosen.json.exists() else {}
     result["machine"] = {"processor": processor(), "cores": CORES, "python": platform.python_version()}
     result["clock"] = "processor" if chosen.cpu else "wall"
     if {"single_flight", "batch"} & set(chosen.parts):
@@ -344,9 +317,7 @@ def processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor()
-    return next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor()
-    )
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor())
 
 
 if __name__ == "__main__":

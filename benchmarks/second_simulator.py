@@ -29,9 +29,7 @@ from rotorwatch_lab.simulation.scenario import Scenario
 RATE_HZ = 200.0
 HEIGHT = 0.5  # m
 FULL = 1000.0  # rad/s: any number does, RotorPy's coefficients go with it
-FLIP = np.array(
-    [1.0, -1.0, -1.0]
-)  # ours: north, east, down; forward, right, down. Theirs: north, west, up; forward, left, up
+FLIP = np.array([1.0, -1.0, -1.0])  # ours: north, east, down; forward, right, down. Theirs: north, west, up; forward, left, up
 DRIVERS = (closed_loop.NOBODY, closed_loop.TRUTH, "default")
 NUMBERS = ("mass", "J", "x", "y", "z", "thrust_max", "spin", "drag_ratio", "lag", "k_d", "k_z", "drag")  # of a craft
 
@@ -137,9 +135,7 @@ class Elsewhere(reconfigured.Reconfigured):
 
         craft = [getattr(plan.craft, name) for name in NUMBERS]
         state = [*body, w, share, air.wind, theta]
-        out = jax.pure_callback(
-            slopes, jax.ShapeDtypeStruct((16,), body.p.dtype), craft, state, vmap_method="broadcast_all"
-        )
+        out = jax.pure_callback(slopes, jax.ShapeDtypeStruct((16,), body.p.dtype), craft, state, vmap_method="broadcast_all")
         high = body.p[2] < -HEIGHT
         far = rigid.Body(out[:3], out[3:6], out[6:10], out[10:13])
         body = jax.tree.map(lambda a, b: jnp.where(high, a, b), far, near)
@@ -200,10 +196,7 @@ def markdown(rows: Sequence[dict], drivers: Sequence[str]) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for driver in drivers:
-        ours, theirs = (
-            {r["flight"]: r for r in rows if (r["simulator"], r["driver"]) == (name, driver)}
-            for name in ("ours", "rotorpy")
-        )
+        ours, theirs = ({r["flight"]: r for r in rows if (r["simulator"], r["driver"]) == (name, driver)} for name in ("ours", "rotorpy"))
         numbers = sorted(set(ours) & set(theirs))
         up = np.array([(ours[k]["survived"], theirs[k]["survived"]) for k in numbers], bool).reshape(-1, 2)
         both = [k for k, row in zip(numbers, up, strict=True) if row.all()]

@@ -107,21 +107,13 @@ def main() -> None:
     hours = sum(row[2] for row in healthy) / 3600.0
     bounds = [row[3]["bound"] for row in healthy if row[3]["judged"]]
     print(f"\n{len(healthy)} flights, {hours:.2f} h: {dict(Counter(row[3]['verdict'] for row in healthy))}")
-    print(
-        f"judged {len(bounds)}; bound: median {np.median(bounds or [1.0]):.3f}, 90 % {np.quantile(bounds or [1.0], 0.9):.3f}"
-    )
-    print(
-        f"accused {sum(bool(row[3]['sure']) for row in healthy)}, suspected {sum(bool(row[3]['named']) for row in healthy)}"
-    )
+    print(f"judged {len(bounds)}; bound: median {np.median(bounds or [1.0]):.3f}, 90 % {np.quantile(bounds or [1.0], 0.9):.3f}")
+    print(f"accused {sum(bool(row[3]['sure']) for row in healthy)}, suspected {sum(bool(row[3]['named']) for row in healthy)}")
     right = sum(row[3]["sure"] == {row[1]} for row in weak)
-    among = sum(
-        row[1] in row[3]["named"] and row[3]["sure"] != {row[1]} and not row[3]["sure"] - {row[1]} for row in weak
-    )
+    among = sum(row[1] in row[3]["named"] and row[3]["sure"] != {row[1]} and not row[3]["sure"] - {row[1]} for row in weak)
     wrong = sum(bool(row[3]["sure"] - {row[1]}) for row in weak)
     calm = sum(row[3]["verdict"] == "healthy" for row in weak)
-    print(
-        f"{len(weak)} with a loss of {options.loss:.0%}: {right} right, {among} among the suspects, {wrong} wrong, {calm} healthy"
-    )
+    print(f"{len(weak)} with a loss of {options.loss:.0%}: {right} right, {among} among the suspects, {wrong} wrong, {calm} healthy")
 
 
 def _simulated(work: tuple[int, float, float]) -> list[tuple[float, int, float, dict]]:

@@ -124,14 +124,7 @@ def judged(k: int, made, record, hz: float) -> tuple[dict, dict | None]:
         (lower, upper), size = alone[0].interval[0], alone[0].loss[0]
         row |= {"error": size - fault["strength"], "covered": bool(lower <= fault["strength"] <= upper)}
     at = np.clip(np.searchsorted(record.time, table.command_time + LAG_S), 0, len(record.time) - 1)
-    return row, {
-        "row": row,
-        "table": table,
-        "B": craft.effectiveness(),
-        "theta": record.theta[at],
-        "rotor": rotor - 1,
-        "onset": onset,
-    }
+    return row, {"row": row, "table": table, "B": craft.effectiveness(), "theta": record.theta[at], "rotor": rotor - 1, "onset": onset}
 
 
 def add_bounds(parts: list[dict]) -> None:
@@ -139,9 +132,7 @@ def add_bounds(parts: list[dict]) -> None:
     tables = [program.inputs(p["table"], p["B"]) for p in parts]
     u, y, valid = methods.stacked(tables, len(parts))
     length, n = u.shape[1], parts[0]["B"].shape[1]
-    theta = np.stack(
-        [np.concatenate([np.nan_to_num(p["theta"]), np.zeros((length - len(p["theta"]), n))]) for p in parts]
-    )
+    theta = np.stack([np.concatenate([np.nan_to_num(p["theta"]), np.zeros((length - len(p["theta"]), n))]) for p in parts])
     onset = [int(np.searchsorted(p["table"].command_time + LAG_S, p["onset"])) for p in parts]
     found = limits.on_ticks(
         parts[0]["B"], u[..., :-2], y, valid, u[..., -2] > GROUND, theta, np.array([p["rotor"] for p in parts]), np.array(onset),
@@ -159,14 +150,10 @@ def add_bounds(parts: list[dict]) -> None:
 def run(flights: int, healthy: int) -> list[dict]:
     """All rows. Each flight is flown once and judged at every rate."""
     rows, parts = [], defaultdict(list)
-    flights_and_losses = [(k, loss) for loss in LOSSES for k in range(flights)] + [
-        (1000 + k, None) for k in range(healthy)
-    ]
+    flights_and_losses = [(k, loss) for loss in LOSSES for k in range(flights)] + [(1000 + k, None) for k in range(healthy)]
     for done, (k, loss) in enumerate(flights_and_losses):
         made = drawn(k, loss)
-        (record,) = fly_each(
-            MULTIROTOR, [flight_plan(made)], made.duration_s, made.rate_hz, made.record_hz, logbook.needed
-        )
+        (record,) = fly_each(MULTIROTOR, [flight_plan(made)], made.duration_s, made.rate_hz, made.record_hz, logbook.needed)
         for hz in RATES_HZ:
             row, part = judged(k, made, record, hz)
             rows.append(row)
@@ -196,19 +183,11 @@ def show(rows: list[dict]) -> str:
 
     def shares(flags) -> str:
         found = summary.share(np.array(flags, bool))
-        return (
-            "-"
-            if found is None
-            else f"{100 * found['value']:.0f} ({100 * found['low']:.0f} to {100 * found['high']:.0f})"
-        )
+        return "-" if found is None else f"{100 * found['value']:.0f} ({100 * found['low']:.0f} to {100 * found['high']:.0f})"
 
     def of(values, statistic, digits=1) -> str:
         found = summary.boot(np.array(values, float), statistic)
-        return (
-            "-"
-            if found is None
-            else f"{found['value']:.{digits}f} ({found['low']:.{digits}f} to {found['high']:.{digits}f})"
-        )
+        return "-" if found is None else f"{found['value']:.{digits}f} ({found['low']:.{digits}f} to {found['high']:.{digits}f})"
 
     def rms(values):
         return 100.0 * float(np.sqrt(np.mean(np.square(values))))
@@ -245,9 +224,7 @@ def show(rows: list[dict]) -> str:
         hourly = "-" if rate is None else f"{rate['value']:.2f} ({rate['low']:.2f} to {rate['high']:.2f})"
         sure = sum(r.get("sure_false_alarms", 0) for r in d)
         out.append(f"| {hz:g} | {tick_length(hz):g} | {hours:.2f} | {count} | {hourly} | {sure} |")
-    fell = {
-        loss: sum(r["fell_s"] is not None for r in rows if r["loss"] == loss and r["hz"] == 50.0) for loss in LOSSES
-    }
+    fell = {loss: sum(r["fell_s"] is not None for r in rows if r["loss"] == loss and r["hz"] == 50.0) for loss in LOSSES}
     out += ["", "Fell: " + ", ".join(f"{n} at {100 * loss:.0f} %" for loss, n in fell.items())]
     return "\n".join(out)
 

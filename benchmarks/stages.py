@@ -150,24 +150,14 @@ def fresh(command: list[str]) -> tuple[float, float]:
 
 def imported(command: list[str]) -> list[str]:
     """Modules that a command imports, in this order."""
-    done = subprocess.run(
-        [sys.executable, "-X", "importtime", *command[1:]], capture_output=True, text=True, check=False
-    )
-    return [
-        m[1]
-        for line in done.stderr.splitlines()
-        if (m := re.match(r"import time:\s+\d+ \|\s+\d+ \|\s+([\w.]+)$", line))
-    ]
+    done = subprocess.run([sys.executable, "-X", "importtime", *command[1:]], capture_output=True, text=True, check=False)
+    return [m[1] for line in done.stderr.splitlines() if (m := re.match(r"import time:\s+\d+ \|\s+\d+ \|\s+([\w.]+)$", line))]
 
 
 def process(path: Path) -> list[tuple[str, float, float]]:
     """(what, processor seconds, seconds by the clock) of one verdict, each without what stands above it."""
     command = [sys.executable, "-m", "rotorwatch", "diagnose", str(path), "--quiet"]
-    modules = [
-        m
-        for m in imported(command)
-        if m.partition(".")[0] in {"rotorwatch", "click", "rich"} and m != "rotorwatch.__main__"
-    ]
+    modules = [m for m in imported(command) if m.partition(".")[0] in {"rotorwatch", "click", "rich"} and m != "rotorwatch.__main__"]
     steps = [
         ("interpreter", [sys.executable, "-c", "pass"]),
         ("NumPy", [sys.executable, "-c", "import numpy"]),
@@ -193,15 +183,11 @@ def main() -> None:
         paths = chosen(unpacked(options.folder, Path(scratch)), options.logs)
         stages, functions, answers = judged(paths, options.rounds)
         total, megabytes = sum(stages.values()), sum(map(size, paths))
-        print(
-            f"{len(paths)} logs, {answers} with an answer, {megabytes:.0f} MB: {total:.1f} s of one processor, ", end=""
-        )
+        print(f"{len(paths)} logs, {answers} with an answer, {megabytes:.0f} MB: {total:.1f} s of one processor, ", end="")
         print(f"{len(paths) / total:.1f} logs and {megabytes / total:.1f} MB a second\n")
         print("| stage | s | share | ms a log |\n|---|---|---|---|")
         for name in STAGES:
-            print(
-                f"| {name} | {stages[name]:.2f} | {stages[name] / total:.0%} | {1e3 * stages[name] / len(paths):.1f} |"
-            )
+            print(f"| {name} | {stages[name]:.2f} | {stages[name] / total:.0%} | {1e3 * stages[name] / len(paths):.1f} |")
         for name, seconds in sorted(functions.items(), key=lambda row: -row[1])[: options.functions]:
             print(f"{1e3 * seconds / len(paths):7.2f} ms a log  {name}")
         log = statistics.median_low([(size(path), path) for path in paths if path.is_file()])[1]

@@ -65,9 +65,7 @@ def main() -> None:
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.flights)
     rows = [done.result() for done in spread.run(flown, numbers, options.jobs)]
-    print(
-        "| loss | flights | announced | ambiguous | ... and the rotor is a suspect | ... alone | healthy | ... beyond the bound |"
-    )
+    print("| loss | flights | announced | ambiguous | ... and the rotor is a suspect | ... alone | healthy | ... beyond the bound |")
     print("|---|---|---|---|---|---|---|---|")
     for low, high in (*itertools.pairwise(LOSSES), (LOSSES[0], LOSSES[-1])):
         there = [row for row in rows if low <= row.loss < high]
@@ -87,9 +85,7 @@ def main() -> None:
         if bounds:
             middle, most = np.quantile(np.concatenate(bounds), [0.5, 0.9])
             announced, ambiguous = sum(row.announced for row in there), sum(row.verdict == "ambiguous" for row in there)
-            print(
-                f"| {low:.0f} to {high:.0f} | {len(there)} | {announced} | {ambiguous} | {100 * middle:.1f} % | {100 * most:.1f} % |"
-            )
+            print(f"| {low:.0f} to {high:.0f} | {len(there)} | {announced} | {ambiguous} | {100 * middle:.1f} % | {100 * most:.1f} % |")
 
 
 if __name__ == "__main__":

@@ -32,9 +32,7 @@ def packed(path: str, vehicles: int, seconds: float) -> tuple[list[list[bytes]],
 
     flight = logs.read(path)
     packs = [mavlink.MAVLink(None, srcSystem=k + 1, srcComponent=1) for k in range(vehicles)]
-    wanted = sorted(
-        (n, v) for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16
-    )
+    wanted = sorted((n, v) for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16)
 
     def frame(k, message):
         made = message.pack(packs[k])
@@ -42,10 +40,7 @@ def packed(path: str, vehicles: int, seconds: float) -> tuple[list[list[bytes]],
         return made
 
     beat = mavlink.MAVLink_heartbeat_message(2, 3, 0x80, 0, 4, 3)
-    known = [
-        mavlink.MAVLink_param_value_message(name.encode(), float(value), 9, len(wanted), i)
-        for i, (name, value) in enumerate(wanted)
-    ]
+    known = [mavlink.MAVLink_param_value_message(name.encode(), float(value), 9, len(wanted), i) for i, (name, value) in enumerate(wanted)]
     greetings = [[frame(k, message) for message in (beat, *known)] for k in range(vehicles)]
     motors, gyro, accel = flight["motors"], flight["gyro"], flight["accel"]
     frames = []  # beforehand: packing takes more than all the rest
@@ -132,9 +127,7 @@ def starts(path: str, times: int) -> None:
         lines = subprocess.run(command, capture_output=True, text=True, check=False).stdout.split()
         process.kill()
         durations.append(float(lines[-1]) - began)
-    print(
-        f"from the start to the first tick: median {statistics.median(durations):.2f} s, longest {max(durations):.2f} s of {times}"
-    )
+    print(f"from the start to the first tick: median {statistics.median(durations):.2f} s, longest {max(durations):.2f} s of {times}")
 
 
 def stream(path: str, port: int, ready, go) -> None:
@@ -170,9 +163,7 @@ def main() -> None:
     watched = link.Link(endpoint.open_endpoint(f"udpin:127.0.0.1:{port}"), lambda alert: None, talks=False)
     ready = multiprocessing.Event()
     sent = multiprocessing.Array("d", int(options.seconds * 50) * options.vehicles, lock=False)
-    process = multiprocessing.Process(
-        target=fly, args=(options.flight, port, options.vehicles, options.seconds, ready, sent), daemon=True
-    )
+    process = multiprocessing.Process(target=fly, args=(options.flight, port, options.vehicles, options.seconds, ready, sent), daemon=True)
     process.start()
     late, stepped = [], link.Watched.advance
 

@@ -24,13 +24,7 @@ def main(folder: str) -> None:
     used = next(p for p in found["roc"] if p["threshold"] == 0)
     roc.plot(used["false_alarms_h"]["value"], used["detected_2s"]["value"], "kx", label="threshold in use")
     roc.axvline(0.1, color="0.6", ls=":", label="one in 10 h")
-    roc.set(
-        xscale="log",
-        ylim=(0, 1.02),
-        xlabel="false alarms per healthy hour",
-        ylabel="detected",
-        title="ROC of the statistic",
-    )
+    roc.set(xscale="log", ylim=(0, 1.02), xlabel="false alarms per healthy hour", ylabel="detected", title="ROC of the statistic")
 
     points = found["delay_curve"]
     x = [p["delay_s"] for p in points]

@@ -65,11 +65,7 @@ def made() -> Iterator[tuple[str, str, object]]:
     volts = 16.0 - 0.01 * time - 0.05 * amps - np.where(time > end - 1.5, 5.0, 0.0)
     battery = Signal(time, np.column_stack([volts, amps]), ("voltage", "current"), "V,A")
     flight = replace(flight, signals={**flight.signals, "battery": battery}).until(end)
-    yield (
-        "made: brown-out",
-        f"the voltage collapses at {end - 1.5:.1f} s, and the log ends at {end:.1f} s, in the air",
-        flight,
-    )
+    yield ("made: brown-out", f"the voltage collapses at {end - 1.5:.1f} s, and the log ends at {end:.1f} s, in the air", flight)
 
 
 def rows(folder: Path) -> Iterator[str]:

@@ -44,13 +44,8 @@ def main(log: str) -> None:
 
     for a in (0, 2, 3):
         plant.plot(t[some], seen["y"][some, a] - seen["y"][some, a].mean(), lw=0.6, color=f"C{a}", label=AXES[a])
-        plant.plot(
-            t[some], (seen["y"] - seen["innovation"])[some, a] - seen["y"][some, a].mean(), "k", lw=0.5, alpha=0.6
-        )
-    plant.set(
-        ylabel="hover thrusts",
-        title="plant and filter: commanded wrench (colour), and what the filter expected (black)",
-    )
+        plant.plot(t[some], (seen["y"] - seen["innovation"])[some, a] - seen["y"][some, a].mean(), "k", lw=0.5, alpha=0.6)
+    plant.set(ylabel="hover thrusts", title="plant and filter: commanded wrench (colour), and what the filter expected (black)")
     for j, name in enumerate(("white", "0.25 s", "1 s", "drift, per root s")):
         noise.plot(t[some], np.sqrt(seen["variances"][some, j, 1]), label=name)
     noise.set(yscale="log", ylabel="sd, hover thrusts", title="noise: pitch, learned from differences of the residual")
@@ -61,11 +56,7 @@ def main(log: str) -> None:
         bank.plot(t[some], seen["odds"][some, i], label=f"rotor {i + 1}")
     other = seen["odds"][:, ~hyp.fault].max(axis=1)
     bank.plot(t[some], other[some], "k--", lw=0.8, label="best disturbance")
-    bank.set(
-        ylim=(-10, None),
-        ylabel="nats",
-        title="bank, hypotheses and evidence: for a jump at any time since the last explanation",
-    )
+    bank.set(ylim=(-10, None), ylabel="nats", title="bank, hypotheses and evidence: for a jump at any time since the last explanation")
     announcing.plot(t[some], seen["statistic"][some], label="statistic, over the threshold")
     announcing.fill_between(t[some], 0, 1, where=~seen["plausible"][some], transform=announcing.get_xaxis_transform(), color="0.9",
                       label="best one is not possible")  # fmt: skip

@@ -99,13 +99,7 @@ def measured(log: Path, group: str, segments: list, methods: list[str], draw: Pa
     flight = rw.read(log)
     left = min((judged.onset for judged in prepare(flight).upsets), default=np.inf)
     found = rw.estimate(flight, methods, truth=steps(segments))
-    row = {
-        "log": log.name,
-        "group": group,
-        "faults": len(segments),
-        "control_lost_s": None if left == np.inf else left,
-        "methods": {},
-    }
+    row = {"log": log.name, "group": group, "faults": len(segments), "control_lost_s": None if left == np.inf else left, "methods": {}}
     first = min(s.time[0] for s in found.series)
     if any(start <= first for _, _, start, _ in segments):
         return row | {"left": "the loss was there before the first step"}
@@ -165,9 +159,7 @@ def measure(tables: list[Path], out: Path, methods: list[str], drawn: list[str])
 
 def gather(out: Path) -> dict:
     """All figures of the folder."""
-    rows = [
-        json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*.json")) if path.name != "left.json"
-    ]
+    rows = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(out.glob("*.json")) if path.name != "left.json"]
     return json.loads((out / "left.json").read_text(encoding="utf-8")) | {"flights": rows}
 
 
@@ -176,10 +168,7 @@ def table(data: dict, keys: tuple[str, str], digits: int | None = None) -> str:
     rows = [row for row in data["flights"] if row["methods"]]
     count = Counter(row["group"] for row in rows)
     groups = [group for group in GROUPS if count[group] >= FEW]
-    lines = [
-        "| method | " + " | ".join(f"{g} ({count[g]})" for g in groups) + " | all |",
-        "|---" * (len(groups) + 2) + "|",
-    ]
+    lines = ["| method | " + " | ".join(f"{g} ({count[g]})" for g in groups) + " | all |", "|---" * (len(groups) + 2) + "|"]
     for method in METHODS:
         cells = []
         for group in [*groups, None]:
@@ -234,15 +223,7 @@ Three of the flights, with the truth dashed:
 
 def _short(row: dict) -> str:
     """Why a flight was left out, without its name."""
-    return (
-        row["left"]
-        .removeprefix(row["log"])
-        .split(";")[0]
-        .split(", so that")[0]
-        .strip()
-        .rstrip(".")
-        .removeprefix("was ")
-    )
+    return row["left"].removeprefix(row["log"]).split(";")[0].split(", so that")[0].strip().rstrip(".").removeprefix("was ")
 
 
 def main() -> None:

@@ -54,12 +54,7 @@ def table() -> str:
         link = f"[`{name}`]({name}.md)" if page.exists() else f"`{name}`"
         lines.append(f"| {link} | {about} |")
     but = "; ".join(f"{', '.join(names)}: {found}" for found, names in limited.items())
-    return (
-        "\n".join(lines)
-        + "\n\n"
-        + textwrap.fill(f"All take every plant, except {but}." if but else "All take every plant.", 140)
-        + "\n"
-    )
+    return "\n".join(lines) + "\n\n" + textwrap.fill(f"All take every plant, except {but}." if but else "All take every plant.", 140) + "\n"
 
 
 def filled(page: str) -> str:

@@ -37,16 +37,7 @@ if __name__ == "__main__":
     ask.add_argument("--flights", type=int, default=2000)
     ask.add_argument("--jobs", type=int, default=2)
     given = ask.parse_args()
-    command = [
-        "campaign",
-        ROOT / "plans" / "open.toml",
-        "--flights",
-        given.flights,
-        "--jobs",
-        given.jobs,
-        "-o",
-        given.out,
-    ]
+    command = ["campaign", ROOT / "plans" / "open.toml", "--flights", given.flights, "--jobs", given.jobs, "-o", given.out]
     subprocess.run([sys.executable, "-m", "rotorwatch", *map(str, command)], check=True, stdout=subprocess.DEVNULL)
     summary = json.loads((given.out / "summary.json").read_text(encoding="utf-8"))
     write(summary)

@@ -49,24 +49,18 @@ def page(data: list[dict]) -> str:
     for row in data:
         paper = row["paper"]
         methods = ", ".join(f"[`{name}`](methods/{name}.md)" for name in reproduction.methods(paper))
-        parts.append(
-            f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n"
-        )
+        parts.append(f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n")
         if reproduction.note(paper):
             parts.append(textwrap.fill(f"**{reproduction.note(paper)}**", 140, break_on_hyphens=False) + "\n")
         differ = {claim: found for claim, found in row.get("forms", {}).items() if len(set(found.values())) > 1}
         for heads, lines in reproduction.by_form(differ):
             parts.append(_table(heads, [[WORDS.get(text, text) for text in line] for line in lines]))
-        claims = [
-            [f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]
-        ]
+        claims = [[f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]]
         parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
         parts += [_shown(paper, k, table) for k, table in enumerate(row.get("tables", ()))]
         parts += [_places(known[paper]), _figures(paper, known[paper]["figures"])]
         literal = ", ".join(f"`{name}`" for name in reproduction.about(paper)[1])
-        parts.append(
-            f"`--literal` takes these errata as printed (explained by `rotorwatch reproduce --help`): {literal}.\n"
-        )
+        parts.append(f"`--literal` takes these errata as printed (explained by `rotorwatch reproduce --help`): {literal}.\n")
     return "\n".join(parts)
 
 
@@ -121,10 +115,7 @@ def _linked(picture: str) -> str:
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
     lines = [head, ["---"] * len(head), *[[_cell(text) for text in row] for row in rows]]
-    return (
-        "\n".join("|" + "|".join(line) + "|" if line[0] == "---" else "| " + " | ".join(line) + " |" for line in lines)
-        + "\n"
-    )
+    return "\n".join("|" + "|".join(line) + "|" if line[0] == "---" else "| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def _pictures(paper: str) -> list[str]:
@@ -135,9 +126,7 @@ def _pictures(paper: str) -> list[str]:
 def _verdict(claim: dict) -> str:
     """The verdict in the page's words, with its condition."""
     verdict = str(claim["verdict"])
-    return (
-        f"only if {claim['only_if']}" if verdict == "partly" and claim.get("only_if") else WORDS.get(verdict, verdict)
-    )
+    return f"only if {claim['only_if']}" if verdict == "partly" and claim.get("only_if") else WORDS.get(verdict, verdict)
 
 
 def _cell(text: str) -> str:

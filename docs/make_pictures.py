@@ -48,17 +48,7 @@ def serve(browser: str, folder: Path, picture: Path) -> None:
     """Write a PNG of the served page while the faulty sample is replayed."""
     from playwright.sync_api import sync_playwright
 
-    command = [
-        sys.executable,
-        "-m",
-        "rotorwatch.commands.cli",
-        "serve",
-        "--port",
-        "0",
-        "--store",
-        str(folder / "fleet.db"),
-        "-q",
-    ]
+    command = [sys.executable, "-m", "rotorwatch.commands.cli", "serve", "--port", "0", "--store", str(folder / "fleet.db"), "-q"]
     server = subprocess.Popen([*command, "--speed", "6", str(SAMPLES / FAULTY)], stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     try:

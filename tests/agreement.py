@@ -81,9 +81,7 @@ class Views:
         self.page = Page(self.page_text)
         self.screens, self.faults = {}, []
         for width in WIDTHS:
-            screen = Console(
-                width=width, color_system=None, highlight=False, emoji=False, markup=False, file=io.StringIO()
-            )
+            screen = Console(width=width, color_system=None, highlight=False, emoji=False, markup=False, file=io.StringIO())
             with screen.capture() as out:
                 screen.print(terminal.diagnosis(diagnosis, verbose=True))
             self.screens[width] = flat(out.get())
@@ -173,10 +171,7 @@ def verdict(views):
             "inconclusive with a loss or an override",
         )
         known = {r["status"] for r in d["rotors"] if r["since_takeoff"] is not None}
-        expect(
-            status <= {"unobservable"} | known and known <= {"healthy", "unobservable"},
-            f"inconclusive with rotors {status}",
-        )
+        expect(status <= {"unobservable"} | known and known <= {"healthy", "unobservable"}, f"inconclusive with rotors {status}")
     if d["verdict"] == "crashed":
         expect(main is not None and main["kind"] == "loss_of_control" and not sure, "crashed, and control was not lost")
         expect(status <= {"unobservable"}, f"crashed with rotors {status}")
@@ -199,9 +194,7 @@ def main_event(views):
         views.expect(not of_kind(views, LOSS, OVERRIDE, DESYNC), "events, and none of them is the main one")
         return
     main = d["events"][d["main_event"]]
-    rivals = [
-        e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if bool(e["alternatives"]) <= bool(main["alternatives"])
-    ]
+    rivals = [e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if bool(e["alternatives"]) <= bool(main["alternatives"])]
     biggest = max((max(e["loss"]) for e in rivals if e["kind"] == LOSS), default=0.0)
     for e in rivals:
         if not e["alternatives"] and main["alternatives"]:
@@ -226,9 +219,7 @@ def headline(views):
     views.expect(spoken == named(main), f"the headline names rotors {spoken}, the main event {named(main)}")
     event = views.diagnosis.events[views.diagnosis.main]
     views.expect(report.seconds(event.onset_s) in said, "the headline has another time than the main event")
-    views.expect(
-        all(str(r) in d["reason"] for r in main["rotors"]), "the reason names other rotors than the main event"
-    )
+    views.expect(all(str(r) in d["reason"] for r in main["rotors"]), "the reason names other rotors than the main event")
     if main["kind"] == LOSS and not main["alternatives"]:
         for text in (said, d["reason"]):
             gives = event.extra.get("gives")
@@ -256,10 +247,7 @@ def health(views):
         sign = {"growing": low > 0, "shrinking": high < 0}.get(trend["word"])
         views.expect(sign is not False, f"the trend of {me} is {trend['word']} with {low} to {high}")
         sure = trend["word"] in ("growing", "shrinking")
-        views.expect(
-            known or (not sure and max(map(abs, trend["interval"])) > health_section.VAGUE),
-            f"the trend of {me} is left out",
-        )
+        views.expect(known or (not sure and max(map(abs, trend["interval"])) > health_section.VAGUE), f"the trend of {me} is left out")
         if not known:
             continue
         views.shown(trend["word"], f"the trend of {me}")
@@ -279,10 +267,7 @@ def rotors(views):
         lasting = [e for e in of_kind(views, LOSS) if k in named(e) and e["end_s"] is None]
         sure = [e for e in lasting if not e["alternatives"]]
         claims = [e for e in of_kind(views, LOSS, OVERRIDE, DESYNC) if k in named(e)]
-        expect(
-            0 <= low <= high <= 1 and low - EPS <= r["loss"] <= high + EPS,
-            f"{me}: loss {r['loss']} outside {r['interval']}",
-        )
+        expect(0 <= low <= high <= 1 and low - EPS <= r["loss"] <= high + EPS, f"{me}: loss {r['loss']} outside {r['interval']}")
         expect(r["status"] in ("healthy", "degraded", "failed", "suspect", "unobservable"), f"{me}: unknown status")
         if d["verdict"] in ("inconclusive", "crashed"):
             continue
@@ -290,32 +275,19 @@ def rotors(views):
             expect(r["status"] not in ("healthy", "unobservable"), f"{me} although an event that lasts names it")
             if e["alternatives"]:
                 expect(
-                    r["status"] == "suspect" or bool(sure) or r["from_takeoff"] == "damaged",
-                    f"{me} although one of several explanations",
+                    r["status"] == "suspect" or bool(sure) or r["from_takeoff"] == "damaged", f"{me} although one of several explanations"
                 )
                 top = e["interval"][e["rotors"].index(k)][1] if k in e["rotors"] else max(h for _, h in e["interval"])
                 expect(high >= top - EPS, f"{me}: the interval does not cover an explanation")
-                expect(
-                    bool(sure) or low == 0 or r["from_takeoff"] == "damaged",
-                    f"{me}: the interval leaves out that another rotor did it",
-                )
+                expect(bool(sure) or low == 0 or r["from_takeoff"] == "damaged", f"{me}: the interval leaves out that another rotor did it")
         if sure:
             e = sure[-1]
             j = e["rotors"].index(k)
-            expect(
-                r["status"] == ("failed" if e["loss"][j] > 0.8 else "degraded"),
-                f"{me} with a certain loss of {e['loss'][j]}",
-            )
+            expect(r["status"] == ("failed" if e["loss"][j] > 0.8 else "degraded"), f"{me} with a certain loss of {e['loss'][j]}")
             expect(abs(r["loss"] - e["loss"][j]) < EPS, f"{me}: another loss than its event's")
-            expect(
-                low <= e["interval"][j][0] + EPS and high >= e["interval"][j][1] - EPS,
-                f"{me}: a smaller interval than its event's",
-            )
+            expect(low <= e["interval"][j][0] + EPS and high >= e["interval"][j][1] - EPS, f"{me}: a smaller interval than its event's")
         if r["status"] in ("degraded", "failed"):
-            expect(
-                bool(sure) or (whole.get("verdict") == "fault" and k in whole["rotors"]),
-                f"{me} without anything certain",
-            )
+            expect(bool(sure) or (whole.get("verdict") == "fault" and k in whole["rotors"]), f"{me} without anything certain")
         if r["status"] == "suspect":
             expect(bool(r["note"]), f"{me}: no word why")
             # Its own evidence, an unjudged landing, an override, the trim or the comparison: at least one must have named it.
@@ -325,20 +297,14 @@ def rotors(views):
         if r["status"] == "healthy":
             expect(r["since_takeoff"] is not None, f"{me}: no word on what could have hidden")
             expect(all(e["end_s"] is not None for e in claims), f"{me} although something about it lasts")
-            expect(
-                r["from_takeoff"] != "bounded" or not whole,
-                f"{me} is bounded by any healthy vehicle beside its own flights",
-            )
+            expect(r["from_takeoff"] != "bounded" or not whole, f"{me} is bounded by any healthy vehicle beside its own flights")
             if r["from_takeoff"] == "not judged":
                 expect([low, high] == list(r["since_takeoff"]), f"{me}: an interval of more than was judged")
             else:
                 expect(high >= r["since_takeoff"][1] - EPS, f"{me}: less could hide in all than since take-off")
             lost = any(e["kind"] == "loss_of_control" for e in d["events"])
             expect(bool(claims) == bool(r["note"]) or (lost and not claims), f"{me}: note and events differ")
-        expect(
-            (r["from_takeoff"] == "damaged") <= (r["status"] in ("degraded", "failed")),
-            f"{me} and damaged from take-off",
-        )
+        expect((r["from_takeoff"] == "damaged") <= (r["status"] in ("degraded", "failed")), f"{me} and damaged from take-off")
 
 
 def events(views):
@@ -347,10 +313,7 @@ def events(views):
         me = f"event {e['kind']} at {e['onset_s']}"
         views.expect(e["onset_s"] <= e["detected_s"] + EPS, f"{me}: announced before it began")
         views.expect(e["end_s"] is None or e["end_s"] >= e["onset_s"] - EPS, f"{me}: over before it began")
-        views.expect(
-            len(e["loss"]) == len(e["interval"]) and len(e["loss"]) in (0, len(e["rotors"])),
-            f"{me}: loss of other rotors",
-        )
+        views.expect(len(e["loss"]) == len(e["interval"]) and len(e["loss"]) in (0, len(e["rotors"])), f"{me}: loss of other rotors")
         views.expect(all(set(a) != set(e["rotors"]) for a in e["alternatives"]), f"{me}: an alternative that is none")
         views.expect(e["kind"] != "contact" or not e["rotors"], f"{me}: a contact accuses a rotor")
         views.shown(event.means.noun, f"{me}: its kind")
@@ -392,20 +355,13 @@ def page(views):
         if r.status == "healthy" and r.from_takeoff == "not judged":
             views.expect("%" not in words.replace(report.rotor_interval(r), ""), words)
         for width, screen in views.screens.items():
-            wide = " ".join(
-                map(str, (r.rotor, r.place, r.status, report.rotor_loss(r), report.rotor_interval(r)))
-            ).strip()
+            wide = " ".join(map(str, (r.rotor, r.place, r.status, report.rotor_loss(r), report.rotor_interval(r)))).strip()
             lines = f"rotor {r.rotor}, {r.place}, {r.status}, loss {report.rotor_loss(r)}"
-            views.expect(
-                wide in screen or lines in screen, f"rotor {r.rotor}: not on a terminal of {width} columns: {wide}"
-            )
+            views.expect(wide in screen or lines in screen, f"rotor {r.rotor}: not on a terminal of {width} columns: {wide}")
     if drawing.airframe(d):
         for r in d.rotors:
             drawn = views.page.places[r.rotor]
-            views.expect(
-                (drawn["status"], drawn["tint"]) == (r.status, looks[r.rotor][0]),
-                f"rotor {r.rotor}: the top view's look",
-            )
+            views.expect((drawn["status"], drawn["tint"]) == (r.status, looks[r.rotor][0]), f"rotor {r.rotor}: the top view's look")
             title = f"{r.status}, loss {report.rotor_loss(r)}"
             views.expect(title in flat(drawn["title"]), f"rotor {r.rotor}: the top view says {drawn['title']}")
     found = re.search(r'<script type="application/json" id="diagnosis">(.*?)</script>', views.page_text, re.DOTALL)
@@ -425,15 +381,9 @@ def plots(views):
     drawn = views.figures
     for name in ("loss", "command"):
         for line in drawn[name].renderers:
-            if (
-                (line.name or "").startswith("rotor ")
-                and hasattr(line.glyph, "line_color")
-                and not hasattr(line.glyph, "fill_color")
-            ):
+            if (line.name or "").startswith("rotor ") and hasattr(line.glyph, "line_color") and not hasattr(line.glyph, "fill_color"):
                 k = int(line.name.split()[1])
-                views.expect(
-                    line.glyph.line_color == looks[k][0], f"rotor {k} has another colour in the plot of {name}"
-                )
+                views.expect(line.glyph.line_color == looks[k][0], f"rotor {k} has another colour in the plot of {name}")
     if not views.flown:
         return
     last = np.flatnonzero(~np.isnan(d.trace.loss[:, 0]))[-1]
@@ -489,9 +439,7 @@ FIELDS = {
     "flight.boot_s": lambda views, value: value and views.shown(f"{value:.2f} s since boot", "the clock", screen=False),
     "flight.utc_start": lambda views, value: value and views.shown(report.day(views.diagnosis), "UTC"),
     "flight.duration_s": lambda views, value: views.shown(f"{value:.1f} s", "the duration", screen=False),
-    "flight.airborne_s": lambda views, value: [
-        views.shown(f"{v:.1f}", "take-off or landing", screen=False) for v in value
-    ],
+    "flight.airborne_s": lambda views, value: [views.shown(f"{v:.1f}", "take-off or landing", screen=False) for v in value],
     "flight.hops[]": HIDDEN,
     "flight.hops": HIDDEN,
     "flight.profile": word("the rates"),
@@ -509,21 +457,14 @@ FIELDS = {
     "picture.marks[].time_s": SHOWN,
     "picture.marks[].what": SHOWN,
     "picture.accused": lambda views, value: views.expect(
-        {*value} <= {r for e in views.json["events"] for r in e["rotors"]},
-        "the picture accuses a rotor that no event names",
+        {*value} <= {r for e in views.json["events"] for r in e["rotors"]}, "the picture accuses a rotor that no event names"
     ),
     "picture.attitude": SHOWN,
-    **{
-        f"picture.attitude.{name}": SHOWN
-        for name in ("time_s", "roll_deg", "pitch_deg", "wanted_roll_deg", "wanted_pitch_deg")
-    },
+    **{f"picture.attitude.{name}": SHOWN for name in ("time_s", "roll_deg", "pitch_deg", "wanted_roll_deg", "wanted_pitch_deg")},
     "picture.rates": SHOWN,
     **{
         f"picture.rates.{name}": SHOWN
-        for name in (
-            "time_s",
-            *(f"{wanted}{axis}_dps" for wanted in ("", "wanted_") for axis in ("roll", "pitch", "yaw")),
-        )
+        for name in ("time_s", *(f"{wanted}{axis}_dps" for wanted in ("", "wanted_") for axis in ("roll", "pitch", "yaw")))
     },
     "picture.speeds": SHOWN,
     "picture.speeds.time_s": SHOWN,
@@ -563,9 +504,7 @@ FIELDS = {
     "events[].interval": SHOWN,
     "events[].probability": SHOWN,
     "events[].reason": lambda views, value: value and views.shown(value[1:], "an event's reason"),
-    "events[].loss_2s": lambda views, value: [
-        views.shown(report.percent(v), "the loss 2 s later", screen=False) for v in value
-    ],
+    "events[].loss_2s": lambda views, value: [views.shown(report.percent(v), "the loss 2 s later", screen=False) for v in value],
     "events[].override": lambda views, value: views.shown(value, "the kind of override", screen=False),
     "events[].size": SHOWN,
     "events[].gives": HIDDEN,  # in words in the event's reason, to one digit
@@ -635,23 +574,14 @@ FIELDS = {
     "common_mode.interval": HIDDEN,
     "common_mode.unit": HIDDEN,
     "whole_flight": SHOWN,
-    "whole_flight.verdict": lambda views, value: views.shown(
-        report.VERDICTS[value].lower(), "the comparison's verdict"
-    ),
+    "whole_flight.verdict": lambda views, value: views.shown(report.VERDICTS[value].lower(), "the comparison's verdict"),
     "whole_flight.reason": word("the comparison's reason"),
-    "whole_flight.flights": lambda views, value: views.shown(
-        f"{value} healthy flight", "the number of healthy flights"
-    ),
+    "whole_flight.flights": lambda views, value: views.shown(f"{value} healthy flight", "the number of healthy flights"),
     "whole_flight.causes": SHOWN,
     "whole_flight.causes[].kind": SHOWN,
     "whole_flight.causes[].rotors": SHOWN,
-    "whole_flight.causes[].probability": lambda views, value: (
-        value >= 0.05 and views.shown(report.probability(value), "a cause")
-    ),
-    **{
-        f"whole_flight.{k}": HIDDEN
-        for k in ("rotors", "loss", "interval", "p_value", "shift", "shift_sd", "common", "false_alarm_rate")
-    },
+    "whole_flight.causes[].probability": lambda views, value: value >= 0.05 and views.shown(report.probability(value), "a cause"),
+    **{f"whole_flight.{k}": HIDDEN for k in ("rotors", "loss", "interval", "p_value", "shift", "shift_sd", "common", "false_alarm_rate")},
     "baseline": word("the baseline"),
     "estimator": lambda views, value: views.shown(value, "the estimator", screen=False),
     "comparison": SHOWN,
@@ -662,8 +592,5 @@ FIELDS = {
     "assumptions": every("an assumption"),
     "warnings": every("a warning"),
     "timing": HIDDEN,
-    **{
-        f"timing.{k}": HIDDEN
-        for k in ("read_s", "baseline_s", "prepare_s", "estimate_s", "events_s", "comparison_s", "total_s")
-    },
+    **{f"timing.{k}": HIDDEN for k in ("read_s", "baseline_s", "prepare_s", "estimate_s", "events_s", "comparison_s", "total_s")},
 }

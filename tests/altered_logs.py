@@ -43,9 +43,7 @@ SCALED = (("CA_ROTOR0_PX", (0.0, -1.0, 0.5, 2.0, 10.0)), ("CA_ROTOR1_PY", (0.0, 
 
 def with_signals(flight: Flight, **signals: Signal | None) -> Flight:
     """The flight with other signals; None leaves one out."""
-    return replace(
-        flight, signals={k: v for k, v in {**flight.signals, **signals}.items() if v is not None}, checked=False
-    )
+    return replace(flight, signals={k: v for k, v in {**flight.signals, **signals}.items() if v is not None}, checked=False)
 
 
 def with_values(flight: Flight, name: str, values: np.ndarray) -> Flight:
@@ -69,17 +67,13 @@ def reordered(flight: Flight, rows: tuple[int, ...]) -> Flight:
     """The flight with outputs in another order."""
     motors = flight["motors"]
     valid = np.ascontiguousarray(motors.valid[:, list(rows)])
-    return with_signals(
-        flight, motors=motors.with_arrays(motors.time, np.ascontiguousarray(motors.values[:, list(rows)]), valid)
-    )
+    return with_signals(flight, motors=motors.with_arrays(motors.time, np.ascontiguousarray(motors.values[:, list(rows)]), valid))
 
 
 def slower(flight: Flight, rate_hz: float) -> Flight:
     """The flight with outputs at so many Hz."""
     motors = flight["motors"]
-    return with_signals(
-        flight, motors=rows_of(motors, np.unique(np.floor(motors.time * rate_hz), return_index=True)[1])
-    )
+    return with_signals(flight, motors=rows_of(motors, np.unique(np.floor(motors.time * rate_hz), return_index=True)[1]))
 
 
 def doubled(flight: Flight) -> Flight:
@@ -111,13 +105,7 @@ def altered(flight: Flight) -> Iterator[tuple[str, str, Callable[[], Flight]]]:
     for rate in (3.0, 1.0):
         yield "slow outputs", f"{rate:g} Hz", lambda rate=rate: slower(flight, rate)
         yield "slow outputs, no controller", f"{rate:g} Hz", lambda rate=rate: slower(alone, rate)
-    for names in (
-        ("gyro",),
-        ("gyro", "rates"),
-        ("gyro", "rates", "accel"),
-        ("gyro", "rates", "accel", "attitude"),
-        ("accel",),
-    ):
+    for names in (("gyro",), ("gyro", "rates"), ("gyro", "rates", "accel"), ("gyro", "rates", "accel", "attitude"), ("accel",)):
         yield "signals missing", " ".join(names), lambda names=names: with_signals(flight, **dict.fromkeys(names))
     yield "records twice", "all", lambda: doubled(flight)
     for k, value in itertools.product(range(min(n, 4)), (0.0, float(np.median(motors.values)))):
@@ -128,9 +116,7 @@ def altered(flight: Flight) -> Iterator[tuple[str, str, Callable[[], Flight]]]:
             lambda c=column, v=value: with_values(flight, "motors", np.where(c, v, motors.values)),
         )
     if flight.has("gyro"):
-        turns = [(name, order, (1, 1, 1)) for name, order in AXES.items()] + [
-            (name, (0, 1, 2), signs) for name, signs in SIGNS.items()
-        ]
+        turns = [(name, order, (1, 1, 1)) for name, order in AXES.items()] + [(name, (0, 1, 2), signs) for name, signs in SIGNS.items()]
         for name, order, signs in turns:
             values = flight["gyro"].values[:, list(order)] * signs
             yield "gyro's axes", name, lambda values=values: with_values(flight, "gyro", values)

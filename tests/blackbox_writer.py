@@ -7,19 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-SIGNED, UNSIGNED, NEG14, DELTA_U, DELTA_S, TAG8_8, TAG2_3, TAG8_4, NONE, TAG2_3V, GAMMA_S = (
-    0,
-    1,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-    11,
-)
+SIGNED, UNSIGNED, NEG14, DELTA_U, DELTA_S, TAG8_8, TAG2_3, TAG8_4, NONE, TAG2_3V, GAMMA_S = (0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11)
 ZERO, PREVIOUS, LINE, AVERAGE, MINTHROTTLE, MOTOR0, INC, HOME, P1500, VBATREF, MAINTIME, MINMOTOR = range(12)
 END = b"E\xffEnd of log\0"
 BITS = (DELTA_U, DELTA_S, GAMMA_S)
@@ -97,9 +85,7 @@ def tag8_4s16(values) -> bytes:
     sizes = [0 if v == 0 else next(k for k, bits in ((1, 4), (2, 8), (3, 16)) if fits(v, bits)) for v in values]
     text = "".join(format(v % 2 ** (4, 8, 16)[s - 1], f"0{(4, 8, 16)[s - 1]}b") for v, s in zip(values, sizes) if s)
     text += "0" * (-len(text) % 8)
-    return bytes([sum(s << 2 * k for k, s in enumerate(sizes))]) + (
-        int(text, 2).to_bytes(len(text) // 8, "big") if text else b""
-    )
+    return bytes([sum(s << 2 * k for k, s in enumerate(sizes))]) + (int(text, 2).to_bytes(len(text) // 8, "big") if text else b"")
 
 
 def tag8_4s16_v1(values) -> bytes:
@@ -181,12 +167,7 @@ class Log:
             if fields:
                 lines += [
                     f"Field {kind} {what}:" + ",".join(str(getattr(f, at)) for f in fields)
-                    for what, at in (
-                        ("name", "name"),
-                        ("signed", "signed"),
-                        ("predictor", "predict"),
-                        ("encoding", "encode"),
-                    )
+                    for what, at in (("name", "name"), ("signed", "signed"), ("predictor", "predict"), ("encoding", "encode"))
                 ]
             if kind == "I":
                 lines += [
@@ -202,9 +183,7 @@ class Log:
         row = list(row)
         fields = {"I": self.main, "P": self.main, "S": self.slow, "G": self.gps, "H": self.home}[kind]
         how = [(f.predict_p, f.encode_p) if kind == "P" else (f.predict, f.encode) for f in fields]
-        rest = [
-            None if p == INC else i32(v - self.expected(kind, k, p, row)) for k, (v, (p, _)) in enumerate(zip(row, how))
-        ]
+        rest = [None if p == INC else i32(v - self.expected(kind, k, p, row)) for k, (v, (p, _)) in enumerate(zip(row, how))]
         self.data += kind.encode() + self.encoded(rest, [NONE if p == INC else e for p, e in how])
         if kind == "I":
             self.before = [row, row]
@@ -265,11 +244,7 @@ class Log:
 
 def betaflight(rotors: int = 4, more: list[Field] = (), **settings) -> Log:
     """A session with the fields of Betaflight 4.5. settings: of the header, in place of its usual ones."""
-    axes = [
-        Field(f"axis{part}[{k}]", 1, ZERO, SIGNED, PREVIOUS, TAG2_3 if part == "I" else SIGNED)
-        for part in "PIDF"
-        for k in range(3)
-    ]
+    axes = [Field(f"axis{part}[{k}]", 1, ZERO, SIGNED, PREVIOUS, TAG2_3 if part == "I" else SIGNED) for part in "PIDF" for k in range(3)]
     motors = [Field("motor[0]", 0, MINMOTOR, UNSIGNED, AVERAGE, SIGNED)]
     motors += [Field(f"motor[{k}]", 0, MOTOR0, SIGNED, AVERAGE, SIGNED) for k in range(1, rotors)]
     fields = [
@@ -296,10 +271,7 @@ def betaflight(rotors: int = 4, more: list[Field] = (), **settings) -> Log:
 def rows(log: Log, frames, **columns):
     """A row for each of so many frames: columns by field's name ("gyroADC_0" is gyroADC[0]), numbers or sequences; 0 for the others."""
     names = [f.name for f in log.main]
-    table = {
-        name.replace("_0", "[0]").replace("_1", "[1]").replace("_2", "[2]").replace("_3", "[3]"): v
-        for name, v in columns.items()
-    }
+    table = {name.replace("_0", "[0]").replace("_1", "[1]").replace("_2", "[2]").replace("_3", "[3]"): v for name, v in columns.items()}
     assert set(table) <= set(names), set(table) - set(names)
     for k in range(frames):
         yield [int(table[n][k]) if n in table and hasattr(table[n], "__len__") else int(table.get(n, 0)) for n in names]

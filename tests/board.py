@@ -136,25 +136,9 @@ def build(name: str, library: Path, folder: Path, optimise: str = "-O1", more: t
     for source in (*a.sources, *sources, *a.world):
         flags = a.c if source.suffix == ".c" else a.cxx
         if source in a.world:  # is no firmware
-            flags = (
-                "-std=gnu++17",
-                "-w",
-                *(f for f in flags if f.startswith(("-D", "-include")) or f == "visibility.h"),
-            )
+            flags = ("-std=gnu++17", "-w", *(f for f in flags if f.startswith(("-D", "-include")) or f == "visibility.h"))
         objects.append(str(folder / f"{source.name}.o"))
-        jobs.append(
-            [
-                cc if source.suffix == ".c" else cxx,
-                *flags,
-                optimise,
-                *more,
-                *include,
-                "-c",
-                str(source),
-                "-o",
-                objects[-1],
-            ]
-        )
+        jobs.append([cc if source.suffix == ".c" else cxx, *flags, optimise, *more, *include, "-c", str(source), "-o", objects[-1]])
     compile_all(jobs)
     program = folder / "fly"
     compile_all([[cxx, *more, *objects, "-lm", "-lpthread", "-o", str(program)]])
@@ -260,12 +244,7 @@ def shown(flight) -> Shown:
     if rates[0] < LEAST_SENSOR_HZ or rates[1] < LEAST_OUTPUT_HZ:
         raise TooFew(f"gyro at {rates[0]:.0f} Hz, outputs at {rates[1]:.0f} Hz")
     seen = replace(flight, signals={**flight.signals, "motors": fast})
-    return Shown(
-        onboard_law.table(seen, craft),
-        craft,
-        float(round(min(rates[1], OUTPUT_HZ))),
-        float(round(min(rates[0], SENSOR_HZ))),
-    )
+    return Shown(onboard_law.table(seen, craft), craft, float(round(min(rates[1], OUTPUT_HZ))), float(round(min(rates[0], SENSOR_HZ))))
 
 
 def in_shares(what: Shown) -> Shown:
@@ -279,9 +258,7 @@ def in_shares(what: Shown) -> Shown:
 
 def library(what: Shown, folder: Path) -> Path:
     """What `export-c --diagnoser --vehicle ... --rate-hz ... --sensor-hz ...` writes for it."""
-    export_diagnoser(
-        folder, vehicle=what.craft, rate_hz=what.output_hz, gyro_hz=what.sensor_hz, accel_hz=what.sensor_hz
-    )
+    export_diagnoser(folder, vehicle=what.craft, rate_hz=what.output_hz, gyro_hz=what.sensor_hz, accel_hz=what.sensor_hz)
     return folder
 
 
@@ -313,12 +290,8 @@ def differences(told, flown: Flown) -> list[str]:
         near = min(same, key=lambda e: abs(e[2] - onset), default=None)
         if near is None or abs(near[2] - onset) > ONSET_S + 1e-6:
             if kind in ACCUSING:
-                found.append(
-                    f"kind {kind} of {rotors:b} at {onset:.2f} s: " + (f"at {near[2]:.2f} s" if near else "missing")
-                )
+                found.append(f"kind {kind} of {rotors:b} at {onset:.2f} s: " + (f"at {near[2]:.2f} s" if near else "missing"))
         if near is not None:
             left.remove(near)
-    found += [
-        f"kind {kind} of {rotors:b} at {onset:.2f} s: only on board" for kind, rotors, onset in left if kind in ACCUSING
-    ]
+    found += [f"kind {kind} of {rotors:b} at {onset:.2f} s: only on board" for kind, rotors, onset in left if kind in ACCUSING]
     return found

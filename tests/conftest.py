@@ -27,15 +27,7 @@ from rotorwatch_lab.compiling import native
 # Tests run as users run them, and so do the commands that they start: PYTHONUNBUFFERED or COLUMNS of a developer's shell can hide a fault.
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
 EVERYONE = "HOME PATH LANG TMPDIR SYSTEMROOT TEMP TMP USERPROFILE LOCALAPPDATA".split()
-OF_TESTS = (
-    "PYTHONPATH",
-    "PYTHONDONTWRITEBYTECODE",
-    "ROTORWATCH_CACHE",
-    "ROTORWATCH_FULL_LAW",
-    "CI",
-    "XLA_FLAGS",
-    "OPENBLAS_NUM_THREADS",
-)
+OF_TESTS = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "ROTORWATCH_CACHE", "ROTORWATCH_FULL_LAW", "CI", "XLA_FLAGS", "OPENBLAS_NUM_THREADS")
 for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n.startswith(("PYTEST_", "PIP_"))]:
     del os.environ[_name]
 
@@ -58,9 +50,7 @@ def _quick_flags():
 
 # Before JAX is imported; processes that tests start inherit it.
 os.environ.setdefault("XLA_FLAGS", _quick_flags())
-os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = (
-    "0"  # nobody reads where in our files an operation of a program came from
-)
+os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"  # nobody reads where in our files an operation of a program came from
 
 native.BIG, native.QUICK = 0, ("-O0",)  # so are published methods as C
 
@@ -75,9 +65,7 @@ def pytest_collection_finish():
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--thorough", action="store_true", help="also what is marked thorough: every case, however long it takes"
-    )
+    parser.addoption("--thorough", action="store_true", help="also what is marked thorough: every case, however long it takes")
 
 
 def _whole(config):
@@ -209,12 +197,7 @@ def hexa_trace(duration=60.0, rate=50.0, rotors=6, onset=31.2, detected=31.56, l
         threshold=6.0,
         attitude=5.0 * rng.standard_normal((time.size, 3)),
         wanted=4.0 * rng.standard_normal((time.size, 3)),
-        messages=(
-            (3.5, "armed", "armed"),
-            (4.0, "mode", "LOITER"),
-            (33.0, "error", "crash check"),
-            (40.0, "mode", "LAND"),
-        ),
+        messages=((3.5, "armed", "armed"), (4.0, "mode", "LOITER"), (33.0, "error", "crash check"), (40.0, "mode", "LAND")),
         **hexa_context(time, duration),
     )
 
@@ -257,10 +240,7 @@ def hexa_event(**changes):
 def hexa_diagnosis(events=None, whole_flight=None, doubts=(), evidence=(), judged_s=46.0, population=None, **changes):
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
     events, air = (hexa_event(),) if events is None else events, ((4.0, 58.0),)
-    compared = (
-        *from_takeoff.claims(whole_flight, from_takeoff.FLIGHTS, air),
-        *from_takeoff.claims(population, from_takeoff.VEHICLES, air),
-    )
+    compared = (*from_takeoff.claims(whole_flight, from_takeoff.FLIGHTS, air), *from_takeoff.claims(population, from_takeoff.VEHICLES, air))
     seen = Evidence(
         events, 6, hidden=np.full(6, 0.04), judged_s=judged_s, claims=open_claims((*compared, *evidence), events),
         places=places.names(HEXA), hops=air, comparable=whole_flight is None,

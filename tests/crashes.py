@@ -18,13 +18,7 @@ from rotorwatch.flight import Flight
 
 FRAMES = ("quad-x", "quad-plus", "hexa-x", "hexa-plus", "octa-x", "octaquad-x", "y6-b")
 RATES = (5.0, 10.0, 50.0, 400.0)
-RIGHT_CAUSE = {
-    "swapped": "motor_order",
-    "disarmed": "disarmed",
-    "gyro": "controller",
-    "knock": "knock",
-    "power": "power",
-}
+RIGHT_CAUSE = {"swapped": "motor_order", "disarmed": "disarmed", "gyro": "controller", "knock": "knock", "power": "power"}
 
 
 DRAWS = 30
@@ -86,12 +80,7 @@ def tasks(flights: int, cases, seed: int) -> list[tuple[str, str, int, float]]:
     """`flights` draws, each case in turn."""
     rng = np.random.default_rng(seed)
     return [
-        (
-            str(rng.choice(FRAMES)),
-            cases[k % len(cases)],
-            int(rng.integers(2**31)),
-            float(RATES[(k // len(cases)) % len(RATES)]),
-        )
+        (str(rng.choice(FRAMES)), cases[k % len(cases)], int(rng.integers(2**31)), float(RATES[(k // len(cases)) % len(RATES)]))
         for k in range(flights)
     ]
 

@@ -13,17 +13,7 @@ import rotorwatch
 from rotorwatch.export.export_diagnoser import definitions, rates, settings
 
 SOURCES = Path(rotorwatch.__file__).parent / "export" / "embedded_c"
-STRICT = (
-    "-std=c99",
-    "-Wall",
-    "-Wextra",
-    "-Wpedantic",
-    "-Wconversion",
-    "-Wdouble-promotion",
-    "-Wfloat-equal",
-    "-Wshadow",
-    "-Werror",
-)
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wdouble-promotion", "-Wfloat-equal", "-Wshadow", "-Werror")
 
 
 def config(n: int, dt: float = 0.05, hz: tuple[float, float, float] = (50.0, 400.0, 400.0), **more: float) -> str:

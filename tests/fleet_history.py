@@ -35,9 +35,7 @@ def series(theta: np.ndarray, seed: int = 0, services=(), tails: bool = True, **
     B = columns(n)
     y = wrench(B, theta) + noise + 0.02 * rng.standard_normal(3)
     given = {"use": np.ones(K, bool)} | more
-    return Series(
-        y, np.tile(np.diag(SD**2) * 1.25, (K, 1, 1)), np.arange(K) / 60.0, B[:3] / n, services=services, **given
-    )
+    return Series(y, np.tile(np.diag(SD**2) * 1.25, (K, 1, 1)), np.arange(K) / 60.0, B[:3] / n, services=services, **given)
 
 
 def row(k: int, w: np.ndarray, n: int, aircraft: str = "A", **more) -> dict:

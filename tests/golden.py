@@ -47,9 +47,7 @@ def answers(path: Path, asked: Sequence[str] = ("link", "board")) -> dict:
         told = diagnose(flight)
     except RotorwatchError as why:
         return {"refused": str(why).replace(str(path.parent), "")}
-    found: dict = {
-        "diagnose": {"verdict": told.verdict, "headline": told.headline, "events": events(told.to_dict()["events"])}
-    }
+    found: dict = {"diagnose": {"verdict": told.verdict, "headline": told.headline, "events": events(told.to_dict()["events"])}}
     for name in asked:
         ask = _link if name == "link" else _board
         try:

@@ -92,9 +92,7 @@ def base(number: int, second: bool = False) -> tuple[tuple[tuple[float, bytes], 
     if second:
         autopilot._pack.seq, boot_s = 90 + 11 * number, 30.0 + (-5.0, -0.7, 0.2, 0.8, 4.0, 60.0)[number % 6]
     said = messages(flight, kind=KINDS[frame], boot_s=boot_s)
-    parameters = {
-        n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16
-    }
+    parameters = {n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16}
     return tuple((at, bytes(autopilot.packed(m))) for at, m in said), parameters, KINDS[frame]
 
 
@@ -197,16 +195,10 @@ def judged(alerts: list[dict], link: Link, fault) -> dict:
     if fault is None:
         if told:
             return {"outcome": "FALSE ALARM", "what": [(a["state"], a["event"]) for a in told]}
-        return {
-            "outcome": "quiet"
-            if all(v.session is not None and v.session.judged for v in link.vehicles)
-            else "not judged"
-        }
+        return {"outcome": "quiet" if all(v.session is not None and v.session.judged for v in link.vehicles) else "not judged"}
     last = {a["number"]: a for a in told}
     holds = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
-    early = [
-        e for e in holds if e["detected_s"] < 20.0
-    ]  # the flight's second 22 is after that on the vehicle's clock, too
+    early = [e for e in holds if e["detected_s"] < 20.0]  # the flight's second 22 is after that on the vehicle's clock, too
     wrong = [e for e in holds if [fault[0]] not in (e["rotors"], *e["alternatives"])]
     if early or wrong:
         return {"outcome": "WRONG ROTOR", "what": early + wrong}

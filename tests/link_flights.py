@@ -87,18 +87,14 @@ def sent(flight, kind: int, link: str) -> tuple[list[dict], list[dict], float | 
     first = next(at for at, m in said if m.get_type() in ("ATTITUDE", "RAW_IMU"))
     middle = 0.5 * (said[0][0] + said[-1][0])
     faults = Faults(cuts=((middle, cut),)) if cut else Faults()
-    parameters = {
-        n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16
-    }
+    parameters = {n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16}
     with tempfile.TemporaryDirectory() as folder:
         alerts, _ = watched(arriving(frames, faults, np.random.default_rng(0)), parameters, kind, Path(folder))
         (path,) = Path(folder).glob("*.tlog")
         recording = diagnose(logs.read(path)).to_dict()["events"]
     last = {a["number"]: a for a in alerts if a["type"] == "event"}
     told = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
-    announced = [
-        a for a in alerts if a["type"] == "event" and a["state"] == "announced" and a["event"]["kind"] in ALARMS
-    ]
+    announced = [a for a in alerts if a["type"] == "event" and a["state"] == "announced" and a["event"]["kind"] in ALARMS]
     return told, recording, announced[0]["at"] - first if announced else None
 
 

@@ -48,14 +48,10 @@ def identity(frame: bytes) -> int:
     return int.from_bytes(frame[7:10], "little") if frame[0] == V2 else frame[5]
 
 
-def overheard(
-    path: Path, without: tuple[int, ...] = (), vehicle=None, until_s: float = float("inf")
-) -> tuple[list[dict], Link]:
+def overheard(path: Path, without: tuple[int, ...] = (), vehicle=None, until_s: float = float("inf")) -> tuple[list[dict], Link]:
     """(alerts, each with `at`: s after the first frame; the link). without: message ids that do not come; vehicle: known from a file."""
     now, alerts, wire = [0.0], [], Heard()
-    link = Link(
-        wire, lambda alert: alerts.append({**alert, "at": now[0]}), known=vehicle, talks=False, clock=lambda: now[0]
-    )
+    link = Link(wire, lambda alert: alerts.append({**alert, "at": now[0]}), known=vehicle, talks=False, clock=lambda: now[0])
     heard = [(at, frame) for at, frame in frames(path) if identity(frame) not in without]
     first, due = heard[0][0], STEP_S
     for at, frame in heard:

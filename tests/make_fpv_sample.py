@@ -24,19 +24,14 @@ def made() -> bytes:
     flight = fpv.fly(1, 32.0, SEED, WRONG, rpm=True)[0]
     part = {name: s.between(0.0, END_S) for name, s in flight.signals.items()}
     n = len(part["motors"]) // EVERY * EVERY
-    motors, gyro, wanted, throttle, esc = (
-        part[name].values[:n:EVERY] for name in ("motors", "rates", "rates_wanted", "throttle", "esc")
-    )
+    motors, gyro, wanted, throttle, esc = (part[name].values[:n:EVERY] for name in ("motors", "rates", "rates_wanted", "throttle", "esc"))
     gyro, wanted = (np.round(np.degrees(x) * FRD_TO_LOG).astype(int) for x in (gyro, wanted))
     erpm = np.round(esc[:, :4] * 60.0 / (2.0 * np.pi) * POLES / 2.0 / 100.0).astype(int)
     log = betaflight(more=[Field(f"eRPM[{k}]", 0, ZERO, UNSIGNED, PREVIOUS, SIGNED) for k in range(4)])
     output = np.where(motors > 0.0, np.round(158 + motors * (2047 - 158)), 0).astype(int)
     named = (("motor", output), ("gyroADC", gyro), ("setpoint", wanted), ("eRPM", erpm))
     columns = {f"{name}_{k}": column for name, values in named for k, column in enumerate(values.T)}
-    columns |= {
-        "setpoint_3": np.round(1000.0 * throttle[:, 0]),
-        "rcCommand_3": np.round(1000.0 + 1000.0 * throttle[:, 0]),
-    }
+    columns |= {"setpoint_3": np.round(1000.0 * throttle[:, 0]), "rcCommand_3": np.round(1000.0 + 1000.0 * throttle[:, 0])}
     count = np.arange(len(output))
     columns |= {"time": 1000 * EVERY * count, "loopIteration": EVERY * count, "accSmooth_2": np.full(len(count), 2048)}
     frames = rows(log, len(count), **columns)

@@ -75,11 +75,7 @@ class Autopilot:
             elif kind == "PARAM_REQUEST_READ" and self._rng.random() >= self._lose:
                 out.append(self._value(message.param_index))
             elif kind == "COMMAND_LONG" and message.command == 512:
-                out.append(
-                    mavlink.MAVLink_autopilot_version_message(
-                        0, 0x04050700, 0, 0, 0, bytes(8), bytes(8), bytes(8), 1, 2, 77
-                    )
-                )
+                out.append(mavlink.MAVLink_autopilot_version_message(0, 0x04050700, 0, 0, 0, bytes(8), bytes(8), bytes(8), 1, 2, 77))
             elif kind == "COMMAND_LONG" and message.command == 510:
                 out.append(mavlink.MAVLink_message_interval_message(int(message.param1), 250000))
             elif kind == "COMMAND_LONG":

@@ -47,14 +47,7 @@ BY_HAND, HAND = Path(__file__).with_name("mutants_by_hand.toml"), "by hand"
 PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "readers": (("logs/*.py",), 0.25),
     "motion": (("engine/motion/allocation.py", "engine/motion/ticks.py"), 0.15),
-    "campaign": (
-        (
-            "rotorwatch_lab/campaign/score.py",
-            "rotorwatch_lab/campaign/summary.py",
-            "rotorwatch_lab/campaign/sequences.py",
-        ),
-        0.15,
-    ),
+    "campaign": (("rotorwatch_lab/campaign/score.py", "rotorwatch_lab/campaign/summary.py", "rotorwatch_lab/campaign/sequences.py"), 0.15),
     "report": (("report/*.py", "report/sections/*.py"), 0.13),
     "estimators": (("rotorwatch_lab/estimators/*.py",), 0.15),
     "default": (("engine/host/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
@@ -131,11 +124,7 @@ OTHERS = (
     "ReplaceTrueWithFalse", "ReplaceFalseWithTrue", "ReplaceAndWithOr", "ReplaceOrWithAnd", "ReplaceContinueWithBreak",
     "ReplaceBreakWithContinue", "ZeroIterationForLoop", "NumberReplacer",
 )  # fmt: skip
-OPERATORS = (
-    *(f"ReplaceBinaryOperator_{pair}" for pair in BINARY),
-    *(f"ReplaceComparisonOperator_{pair}" for pair in COMPARISON),
-    *OTHERS,
-)
+OPERATORS = (*(f"ReplaceBinaryOperator_{pair}" for pair in BINARY), *(f"ReplaceComparisonOperator_{pair}" for pair in COMPARISON), *OTHERS)
 # Arguments whose numbers only place and colour things on a page.
 APPEARANCE = {
     "width", "height", "min_width", "min_height", "line_width", "line_alpha", "fill_alpha", "alpha", "size", "margin", "padding",
@@ -452,15 +441,9 @@ def main() -> None:
     asked.add_argument("--sample", type=int, default=240, help="how many errors")
     asked.add_argument("--seed", type=int, default=1)
     asked.add_argument("--jobs", type=int, default=2, help="how many at a time")
-    asked.add_argument(
-        "--limit", type=float, default=300.0, help="seconds for the tests of one file; longer counts as caught"
-    )
-    asked.add_argument(
-        "--only", nargs="+", default=("*",), help="parts, or files such as 'logs/tlog.py'; the rest of the table stays"
-    )
-    asked.add_argument(
-        "--survivors", action="store_true", help="only those that the table says have survived, and new ones"
-    )
+    asked.add_argument("--limit", type=float, default=300.0, help="seconds for the tests of one file; longer counts as caught")
+    asked.add_argument("--only", nargs="+", default=("*",), help="parts, or files such as 'logs/tlog.py'; the rest of the table stays")
+    asked.add_argument("--survivors", action="store_true", help="only those that the table says have survived, and new ones")
     asked.add_argument("--resume", action="store_true", help="only those that the table does not have yet")
     asked.add_argument("--unchecked", action="store_true", help="the tests are known to pass without any error")
     asked.add_argument("--list", action="store_true", help="print the sample and plant nothing")

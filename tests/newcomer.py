@@ -84,9 +84,7 @@ def install(walk: Walk, wheel: Path | None, shared: bool) -> Path:
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     if wheel is None:
         kept = {name: os.environ[name] for name in ("ROTORWATCH_CACHE",) if name in os.environ}
-        walk.environment.pop(
-            "ROTORWATCH_CACHE"
-        )  # there lies the machine code that this Python's installation has built
+        walk.environment.pop("ROTORWATCH_CACHE")  # there lies the machine code that this Python's installation has built
         words = ["wheel", "--no-deps", "--no-index", "--no-build-isolation", "--wheel-dir", walk.folder, source]
         walk.step("a wheel of it", *pip, *words, **kept)
         walk.environment["ROTORWATCH_CACHE"] = str(walk.folder / "cache")

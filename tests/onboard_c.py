@@ -26,14 +26,7 @@ def library(folder, sources, driver, B, single=False, compiler="gcc", dt=0.05):
     values = settings(B, dt) | rates(50.0, 400.0, 400.0)
     front(folder, "".join(f"#define RW_{name} {value}\n" for name, value in values.items()))
     (folder / "driver.c").write_text(driver)
-    flags = [
-        *STRICT,
-        *(SANITIZERS if compiler == "gcc" else ()),
-        "-O1",
-        "-fPIC",
-        "-shared",
-        *(["-DROTORWATCH_FLOAT"] if single else []),
-    ]
+    flags = [*STRICT, *(SANITIZERS if compiler == "gcc" else ()), "-O1", "-fPIC", "-shared", *(["-DROTORWATCH_FLOAT"] if single else [])]
     files = [*(str(folder / name) for name in sources), str(folder / "driver.c")]
     target = folder / "onboard.so"
     command = [found, *flags, f"-I{folder}", f"-I{SOURCES}", *files, "-lm", "-o", str(target)]

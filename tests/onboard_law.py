@@ -202,15 +202,7 @@ def compiled(folder, what: Flown, driver, single=False, compiler="cc"):
         (folder / name).write_text(text)
     sources = [str(folder / name) for name in what.texts if name.endswith(".c")]
     # More contacts than a library keeps on board: a log of the ground has many.
-    flags = [
-        *STRICT,
-        "-O1",
-        "-fPIC",
-        "-shared",
-        "-DRW_CONTACTS=32",
-        "-DRW_EVENTS=40",
-        *(["-DROTORWATCH_FLOAT"] if single else []),
-    ]
+    flags = [*STRICT, "-O1", "-fPIC", "-shared", "-DRW_CONTACTS=32", "-DRW_EVENTS=40", *(["-DROTORWATCH_FLOAT"] if single else [])]
     target = folder / "law.so"
     command = [compiler, *flags, f"-I{folder}", *sources, str(folder / "driver.c"), "-lm", "-o", str(target)]
     if not target.exists():
@@ -228,7 +220,5 @@ def events_in_c(folder, what: Flown, single=False, compiler="cc"):
     most, samples = 64, np.ascontiguousarray(what.table)
     found = np.zeros((most + 1) * WIDTH)
     pointer = ctypes.POINTER(ctypes.c_double)
-    count = library.drive(
-        len(samples), samples.ctypes.data_as(pointer), ctypes.c_double(what.until), found.ctypes.data_as(pointer), most
-    )
+    count = library.drive(len(samples), samples.ctypes.data_as(pointer), ctypes.c_double(what.until), found.ctypes.data_as(pointer), most)
     return found.reshape(-1, WIDTH)[:count], int(found[most * WIDTH]), [library.sizes(k) for k in range(4)]

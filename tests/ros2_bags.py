@@ -89,9 +89,7 @@ def blank(store, kind, **values):
 def write(folder, rows, storage="mcap", definitions=True, store=None):
     """A bag of rows (topic, type, ns, message), in order of time. definitions: SQLite bags before Iron carry none."""
     store = store or types()
-    writer = Writer(
-        folder, version=9, storage_plugin=StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    )
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3)
     with writer:
         topics = {}
         for topic, kind, stamp, message in sorted(rows, key=lambda r: r[2]):
@@ -190,13 +188,7 @@ def of_flight(flight, space="/mavros", start_ns=1_700_000_000_000_000_000):
             landed = 1 if m.value > 0.5 else 2
             add("extended_state", "mavros_msgs/msg/ExtendedState", m.time, landed_state=landed)
         if m.kind in ("text", "error"):
-            add(
-                "statustext/recv",
-                "mavros_msgs/msg/StatusText",
-                m.time,
-                severity=3 if m.kind == "error" else 6,
-                text=m.text,
-            )
+            add("statustext/recv", "mavros_msgs/msg/StatusText", m.time, severity=3 if m.kind == "error" else 6, text=m.text)
     return rows
 
 

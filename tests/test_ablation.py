@@ -62,9 +62,7 @@ def test_documents_and_exceptions_name_constants_that_exist():
 def test_variants_are_half_double_and_off():
     found = ablation.variants(["model_error.GAIN_ERROR", "plant.USUAL_S"])
     assert found["as it is"] == {}
-    assert found["model_error.GAIN_ERROR half"] == {
-        "model_error.GAIN_ERROR": tuple(0.5 * v for v in model_error.GAIN_ERROR)
-    }
+    assert found["model_error.GAIN_ERROR half"] == {"model_error.GAIN_ERROR": tuple(0.5 * v for v in model_error.GAIN_ERROR)}
     assert found["model_error.GAIN_ERROR off"] == {"model_error.GAIN_ERROR": (0.0,) * 4}
     assert "plant.USUAL_S double" in found and "plant.USUAL_S off" not in found
     assert list(ablation.variants(["plant.USUAL_S"], ["half"])) == ["as it is", "plant.USUAL_S half"]
@@ -147,11 +145,7 @@ def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
     quiet = ablation.outcomes(case, made(table, rotor=None))
     assert quiet["states"] == ["right", "missed"] and quiet["delays"] == [None] and quiet["false"] == 0
     told = ablation.outcomes(case, made(table, rotor=0, at=21.0, theta=0.31))
-    assert (
-        told["states"] == ["right", "right"]
-        and told["delays"] == [pytest.approx(1.0, abs=0.11)]
-        and told["held"] == [True]
-    )
+    assert told["states"] == ["right", "right"] and told["delays"] == [pytest.approx(1.0, abs=0.11)] and told["held"] == [True]
     assert told["errors"] == [pytest.approx(0.01)]
     wrong = ablation.outcomes(case, made(table, rotor=2, at=10.0, theta=0.2))
     assert wrong["false"] == 1 and wrong["states"][0] == "wrong" and wrong["delays"] == [None]
@@ -162,16 +156,7 @@ def made(table, rotor, at=0.0, theta=0.0) -> program.TickOutput:
     T, hyp = len(table.time), list_hypotheses(4)
     k = round(at / DT)
     on = np.arange(T) >= k
-    sizes = dict(
-        theta=4,
-        theta_sd=4,
-        gives=4,
-        log_odds=len(hyp.names),
-        probability=len(hyp.names),
-        share=4,
-        detectable=4,
-        biases=4,
-    )
+    sizes = dict(theta=4, theta_sd=4, gives=4, log_odds=len(hyp.names), probability=len(hyp.names), share=4, detectable=4, biases=4)
     sizes |= dict(innovation=4, innovation_var=4, onsets=4)
     shape = {name: (size,) for name, size in sizes.items()}
     kept = program.TickOutput(**{name: np.zeros((T, *shape.get(name, ()))) for name in program.TickOutput._fields})
@@ -203,11 +188,7 @@ def test_the_table_says_what_changed():
     row = {"right": 0.5, "wrong": 0.0, "found": 1.0, "delay_s": 0.4, "rms": 0.01, "coverage": 0.9, "false_per_h": 0.0}
     told = {"right": {"difference": -0.1, "sd": 0.02, "changed": 3}, "wrong": {"difference": 0.0, "sd": 0.0, "changed": 0},
             "false": {"difference": 0.5, "sd": 0.1, "changed": 1}}  # fmt: skip
-    result = {
-        "set": {"campaign": 4},
-        "variants": {"as it is": row, "kalman.OUTLIER off": row},
-        "differences": {"kalman.OUTLIER off": told},
-    }
+    result = {"set": {"campaign": 4}, "variants": {"as it is": row, "kalman.OUTLIER off": row}, "differences": {"kalman.OUTLIER off": told}}
     text = ablation.markdown(result)
     assert "50.0 % of the states right" in text
     (line,) = [line for line in text.splitlines() if "OUTLIER" in line]

@@ -46,12 +46,7 @@ def flights(seconds=60.0, gust=0.03):
         noise[:, j] = rng.normal(0.0, 1.0, (count, 3))
         for rotor, share, start in losses:
             health[time >= start, j, rotor] = 1.0 - share
-    rate, thrust, integral, wind = (
-        np.zeros((many, 3)),
-        np.full((many, 4), 0.3),
-        np.zeros((many, 3)),
-        np.zeros((many, 3)),
-    )
+    rate, thrust, integral, wind = (np.zeros((many, 3)), np.full((many, 4), 0.3), np.zeros((many, 3)), np.zeros((many, 3)))
     asked, seen = np.zeros((count, many, 4)), np.zeros((count, many, 3))
     for k in range(count):
         seen[k] = rate + 0.02 * noise[k]
@@ -68,10 +63,7 @@ def flights(seconds=60.0, gust=0.03):
         name: Flight(
             "Blackbox",
             "Betaflight",
-            {
-                "motors": Signal(time, motors[:, j], tuple("0123"), "1"),
-                "gyro": Signal(time, seen[:, j], ("x", "y", "z"), "rad/s", "FRD"),
-            },
+            {"motors": Signal(time, motors[:, j], tuple("0123"), "1"), "gyro": Signal(time, seen[:, j], ("x", "y", "z"), "rad/s", "FRD")},
             seconds,
         )
         for j, name in enumerate(LOST)
@@ -190,10 +182,7 @@ def test_the_motion_decides_which_way_judges_and_not_the_firmware(healthy):
     """One that hovers is judged by its balance, one that rolls and flips by its angular motion, whoever wrote the log."""
     table = {"duration_s": 40.0, "autopilot": "px4", "airframe": {"frame": "quad-x"}, "logging": {"profile": "full"}}
     calm = replace(simulate(scenario.from_table(table)).flight, autopilot="INAV")
-    answers = (
-        diagnose(calm, vehicle=airframes.named("px4-quad-x")),
-        diagnose(replace(healthy, autopilot="PX4"), vehicle=CRAFT),
-    )
+    answers = (diagnose(calm, vehicle=airframes.named("px4-quad-x")), diagnose(replace(healthy, autopilot="PX4"), vehicle=CRAFT))
     assert [any("does not hover" in a for a in answer.assumptions) for answer in answers] == [False, True]
     assert max(r.since_takeoff[1] for r in answers[0].rotors) < 0.1
     mute = replace(calm, signals={k: v for k, v in calm.signals.items() if k not in ("gyro", "rates")})

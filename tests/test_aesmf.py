@@ -111,16 +111,11 @@ def test_factors_are_the_same_filter():
     UD = ellipsoid.factored(jnp.asarray(P))
     np.testing.assert_allclose(ellipsoid.unfactored(UD), P, rtol=1e-12)
     e, r = 0.3, 0.2 * h @ P @ h
-    one, other = (
-        ellipsoid.strip_cut(np.zeros(5), jnp.asarray(P), h, e, r),
-        ellipsoid.ud_strip_cut(np.zeros(5), UD, h, e, r),
-    )
+    one, other = (ellipsoid.strip_cut(np.zeros(5), jnp.asarray(P), h, e, r), ellipsoid.ud_strip_cut(np.zeros(5), UD, h, e, r))
     np.testing.assert_allclose(other.a, one.a, rtol=1e-10)
     np.testing.assert_allclose(ellipsoid.unfactored(other.P), one.P, rtol=1e-9, atol=1e-12)
     U, D = ellipsoid.factors(UD)
-    summed = ellipsoid.ud_sum(
-        jnp.concatenate([Phi @ U, np.linalg.cholesky(Q)], axis=1), jnp.concatenate([2 * D, 3 * np.ones(5)])
-    )
+    summed = ellipsoid.ud_sum(jnp.concatenate([Phi @ U, np.linalg.cholesky(Q)], axis=1), jnp.concatenate([2 * D, 3 * np.ones(5)]))
     np.testing.assert_allclose(ellipsoid.unfactored(summed), 2 * Phi @ P @ Phi.T + 3 * Q, rtol=1e-9)
 
 
@@ -161,9 +156,7 @@ def helicopter_step(z):
 
 def tricky(z):
     a, b, c = z[0], z[1], z[2]
-    mixed = jnp.stack(
-        [jnp.sin(a) * b / (2.0 + c**2), jnp.exp(a * b) - jnp.abs(c), jnp.where(a > b, a, b) * jnp.cos(3 * c)]
-    )
+    mixed = jnp.stack([jnp.sin(a) * b / (2.0 + c**2), jnp.exp(a * b) - jnp.abs(c), jnp.where(a > b, a, b) * jnp.cos(3 * c)])
     return jnp.concatenate([mixed, jnp.sqrt(4.0 + jnp.clip(z, -0.1, 0.3)), jnp.tanh(z @ np.ones((3, 2)))])
 
 
@@ -209,9 +202,7 @@ def direction_let_loose(function, centre, lo, hi):
     return interval.evaluate(curvature, interval.Interval(lo, hi), interval.Interval(lo - centre, hi - centre))
 
 
-@pytest.mark.parametrize(
-    ("plant", "ratio", "sampled"), [("helicopter", (1.15, 2.3), 3.2), ("pendulum", (1.75, 1.85), 1.5)]
-)
+@pytest.mark.parametrize(("plant", "ratio", "sampled"), [("helicopter", (1.15, 2.3), 3.2), ("pendulum", (1.75, 1.85), 1.5)])
 def test_interval_hessians_hold_the_remainder_and_are_tighter_than_a_direction_let_loose(plant, ratio, sampled):
     """ratio: least and largest gain over the components; sampled: at most this times as wide as what 20,000 points span."""
     rng = np.random.default_rng(3)

@@ -95,9 +95,7 @@ def test_the_printed_filter_is_the_printed_formulas(kind):
                 theta_range=(-np.inf, np.inf), **ruav_filters.FORMS["printed"])  # fmt: skip
     z, P, q = plainly(u, y, kind is AESMF)
     carry, out = run(made, u, y)
-    np.testing.assert_allclose(
-        np.concatenate([out.x, out.theta], axis=1), z, rtol=1e-6, atol=1e-9
-    )  # the filter iterates for eigenvalues
+    np.testing.assert_allclose(np.concatenate([out.x, out.theta], axis=1), z, rtol=1e-6, atol=1e-9)  # the filter iterates for eigenvalues
     np.testing.assert_allclose(out.x_cov, P[:, :2, :2], rtol=1e-6)
     np.testing.assert_allclose(out.theta_cov, P[:, 2:, 2:], rtol=1e-6)
     np.testing.assert_allclose(carry.q, q[-1], rtol=1e-6)

@@ -31,9 +31,7 @@ def test_the_flight_keeps_its_bounds_and_its_fault(judged):
     import jax
 
     step = jax.jit(jax.vmap(lambda x, u, theta: system.f(x, u, theta, ruav_flight.DT)))
-    w = x[1:] - np.asarray(
-        step(x[:-1], u[1:], theta[:-1] + (np.arange(1, len(u)) == fault)[:, None] * ruav_flight.FAULT)
-    )
+    w = x[1:] - np.asarray(step(x[:-1], u[1:], theta[:-1] + (np.arange(1, len(u)) == fault)[:, None] * ruav_flight.FAULT))
     assert ((w / ruav_flight.PROCESS[:6]) ** 2).sum(-1).max() <= 1.0
 
 
@@ -75,9 +73,7 @@ def test_no_certain_set_could_be_much_narrower(judged):
     slope = np.asarray(jax.vmap(jax.jacfwd(step, 2))(before, given, losses)) / bound[:, None]
     d = cp.Variable(8)
     off = cp.reshape(slope.reshape(-1, 8) @ d, w.shape, order="C")
-    least = [
-        cp.Problem(cp.Maximize(d[i]), [cp.norm(w - off, 2, axis=1) <= 1]).solve(solver="CLARABEL") for i in range(8)
-    ]
+    least = [cp.Problem(cp.Maximize(d[i]), [cp.norm(w - off, 2, axis=1) <= 1]).solve(solver="CLARABEL") for i in range(8)]
     assert 0.1 < np.mean(least) < result["esmf"]["half_width"] < 4 * np.mean(least)
 
 

@@ -44,12 +44,7 @@ def simulated(frame):
     """Diagnoses of one flight for each of FAULTS."""
     from rotorwatch_lab.simulation import Simulated, plan, record_of, scenario, simulate_batch
 
-    rest = {
-        "duration_s": 30.0,
-        "airframe": {"frame": frame},
-        "trajectory": {"altitude_m": 5.0, "land": False},
-        "wind": {"speed_m_s": 1.0},
-    }
+    rest = {"duration_s": 30.0, "airframe": {"frame": frame}, "trajectory": {"altitude_m": 5.0, "land": False}, "wind": {"speed_m_s": 1.0}}
     asked = [scenario.from_table({**rest, "seed": k, "faults": f}) for k, f in enumerate(FAULTS)]
     records = simulate_batch(asked)
     return [Simulated(s, plan(s), record_of(records, k)).flight for k, s in enumerate(asked)]
@@ -63,9 +58,7 @@ def test_simulated_flights(frame, amount):
     answers += [rw.diagnose(f, baseline=[flights[0]]) for f in flights[1 : amount(3, 6)]]
     answers.append(rw.diagnose(flights[1].until(7.0)))  # hardly judged
     assert {a.verdict for a in answers} >= {"healthy", "fault", "inconclusive"}
-    plotted = [
-        a if k in (1, 5) else replace(a, trace=None) for k, a in enumerate(answers)
-    ]  # pages without plots are made faster
+    plotted = [a if k in (1, 5) else replace(a, trace=None) for k, a in enumerate(answers)]  # pages without plots are made faster
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()
 
 
@@ -95,9 +88,7 @@ def random_answer(seed):
     rng = np.random.default_rng(seed)
     events = []
     for _ in range(rng.integers(0, 5)):
-        kind = rng.choice(
-            ["loss_of_effectiveness", "loss_of_effectiveness", "output_override", "contact", "loss_of_control"]
-        )
+        kind = rng.choice(["loss_of_effectiveness", "loss_of_effectiveness", "output_override", "contact", "loss_of_control"])
         onset = float(rng.uniform(9, 55))
         detected = onset + float(rng.uniform(0, 2))
         end = detected + float(rng.uniform(0, 20)) if rng.random() < 0.4 else None
@@ -140,11 +131,7 @@ def random_answer(seed):
             )
         else:
             extra = {"size": round(float(rng.uniform(1, 9)), 1), "unit": "g"} if kind == "contact" else {}
-            events.append(
-                hexa_event(
-                    kind=kind, rotors=(), loss=(), interval=(), reason="nothing commanded it", extra=extra, **common
-                )
-            )
+            events.append(hexa_event(kind=kind, rotors=(), loss=(), interval=(), reason="nothing commanded it", extra=extra, **common))
     events.sort(key=lambda e: e.detected_s)
     doubts = ("The outputs stand still while the vehicle turns.", "Two vehicles are in this log.")[: rng.integers(0, 3)]
     compared = None
@@ -176,9 +163,7 @@ def small(diagnosis, plotted=True):
 @pytest.mark.parametrize("part", range(4))
 def test_any_events(part):
     seeds = range(25 * part, 25 * part + 25)
-    assert {
-        f"{seed}: {fault}" for seed in seeds for fault in walk(small(random_answer(seed), seed % 25 == 0), flown=False)
-    } == set()
+    assert {f"{seed}: {fault}" for seed in seeds for fault in walk(small(random_answer(seed), seed % 25 == 0), flown=False)} == set()
 
 
 def spoilt(field):
@@ -193,9 +178,7 @@ def spoilt(field):
         "small interval": replace(good, rotors=(replace(good.rotors[0], interval=(0.0, 0.001)), *good.rotors[1:])),
         "verdict": replace(good, verdict="healthy"),
         "headline": replace(good, headline=good.headline.replace("otor 3", "otor 4")),
-        "take-off": replace(
-            unjudged, headline=unjudged.headline.replace("Damage present at take-off was not assessed.", "")
-        ),
+        "take-off": replace(unjudged, headline=unjudged.headline.replace("Damage present at take-off was not assessed.", "")),
         "reason": replace(good, reason="rotor 1 lost much."),
         "main": replace(good, main=None),
         "advice": replace(good, advice=()),
@@ -204,20 +187,7 @@ def spoilt(field):
 
 
 @pytest.mark.parametrize(
-    "field",
-    [
-        "status",
-        "loss",
-        "interval",
-        "small interval",
-        "verdict",
-        "headline",
-        "take-off",
-        "reason",
-        "main",
-        "advice",
-        "event",
-    ],
+    "field", ["status", "loss", "interval", "small interval", "verdict", "headline", "take-off", "reason", "main", "advice", "event"]
 )
 def test_a_contradiction_is_found(field):
     assert walk(spoilt(field), flown=False) != []

@@ -14,9 +14,7 @@ from rotorwatch.logs.memory import from_arrays
 from rotorwatch_lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
-needs_flights = pytest.mark.skipif(
-    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
-)
+needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing")
 
 # Lift-off and touch-down read off height, specific force and commands by eye, to about half a second.
 BY_EYE = {

@@ -181,10 +181,7 @@ LOGS = {
 def test_known_mixers_explain_real_outputs(path):
     flight = read(path)
     check = allocation.compare(flight, airframes.identify(flight))
-    free = (
-        np.all((check.demanded > 0.02) & (check.demanded < 0.97 * check.rows["top"][:, None]), axis=1)
-        & check.yaw_granted
-    )
+    free = np.all((check.demanded > 0.02) & (check.demanded < 0.97 * check.rows["top"][:, None]), axis=1) & check.yaw_granted
     flying = free & (check.demand.min(axis=1) > 0.1)
     assert flying.sum() > 100
     assert np.sqrt(np.mean(check.deviation[flying] ** 2)) < LOGS[path]
@@ -325,9 +322,7 @@ def test_flights_without_commands_have_no_overrides():
     for signals in ({}, {"motors": empty}, {"motors": empty, "control": flight["control"]}):
         assert overrides(replace(flight, signals=signals), vehicle, ((0.0, 9.0),)) == ()
     lonely = replace(flight, signals={**flight.signals, "control": flight["control"].between(0.0, 0.03)})
-    assert (
-        allocation.mixed_thrusts(lonely, vehicle) is None or not allocation.mixed_thrusts(lonely, vehicle).valid.any()
-    )
+    assert allocation.mixed_thrusts(lonely, vehicle) is None or not allocation.mixed_thrusts(lonely, vehicle).valid.any()
 
 
 def pairs(*texts):
@@ -342,10 +337,7 @@ def pairs(*texts):
         ("ardupilot-hexa-x", pairs("1+2=3+4", "1+2=5+6", "3+4=5+6")),
         (
             "ardupilot-octa-plus",
-            pairs(
-                *("1+2=7+8", "1+4=2+3", "1+4=5+8", "1+6=2+5", "1+6=3+7"),
-                *("2+3=6+8", "2+5=4+7", "3+6=4+5", "3+7=5+8", "4+7=6+8"),
-            ),
+            pairs(*("1+2=7+8", "1+4=2+3", "1+4=5+8", "1+6=2+5", "1+6=3+7"), *("2+3=6+8", "2+5=4+7", "3+6=4+5", "3+7=5+8", "4+7=6+8")),
         ),
     ],
 )
@@ -481,11 +473,7 @@ def test_the_last_value_known_is_held_and_none_that_comes_later():
     at = np.array([0.5, 1.0, 1.5, 2.0, 3.999, 4.0, 9.0])
     assert allocation.hold(time, values, at, before=-1.0).tolist() == [-1.0, 10.0, 10.0, 20.0, 20.0, 40.0, 40.0]
     table = np.column_stack([values, -values])
-    assert allocation.hold(time, table, at, before=7.0)[[0, 1, 4]].tolist() == [
-        [7.0, 7.0],
-        [10.0, -10.0],
-        [20.0, -20.0],
-    ]
+    assert allocation.hold(time, table, at, before=7.0)[[0, 1, 4]].tolist() == [[7.0, 7.0], [10.0, -10.0], [20.0, -20.0]]
     assert allocation.hold(time[:0], values[:0], at, before=3.0).tolist() == [3.0] * 7
     assert allocation.hold(time[:0], table[:0], at[:2]).tolist() == [[0.0, 0.0]] * 2
 

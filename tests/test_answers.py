@@ -65,9 +65,7 @@ def test_an_answer_says_what_is_known_and_why_no_more_is(answer):
 def test_what_matters_is_asked_for(matters, verdict):
     log = Path(rw.__file__).parent / "samples" / "quadx_healthy_hover.bin.xz"
     found = rw.diagnose(log, matters=matters)
-    assert found.verdict == verdict and ("No loss was detected, but a loss of up to" in found.headline) == (
-        verdict == "inconclusive"
-    )
+    assert found.verdict == verdict and ("No loss was detected, but a loss of up to" in found.headline) == (verdict == "inconclusive")
 
 
 @pytest.mark.parametrize("matters", [0.0, -0.1, 1.5, float("nan")])

@@ -115,9 +115,7 @@ def test_a_plug_in_is_one_file(copy):
         "name = 'planted'\nautopilot = 'PX4'\ndef detect(flight, vehicle, airborne): ...\n"
     )
     (folder / "rotorwatch" / "logs" / "planted.py").write_text("FORMAT = 'planted'\ndef sniff(head, name): ...\n")
-    (folder / "rotorwatch" / "airframes" / "planted.py").write_text(
-        "NAMES = {'planted': None}\ndef identify(flight): ...\n"
-    )
+    (folder / "rotorwatch" / "airframes" / "planted.py").write_text("NAMES = {'planted': None}\ndef identify(flight): ...\n")
     (folder / "rotorwatch" / "report" / "sections" / "planted.py").write_text(
         "name, title, order = 'planted', 'Planted', 400\ndef data(diagnosis): ...\n"
     )
@@ -171,9 +169,7 @@ def test_files_are_short_and_say_what_they_are():
 
 @pytest.mark.parametrize("room", [p for p in FILES if p.name == "__init__.py"], ids=lambda p: p.parent.name)
 def test_a_room_that_lists_its_files_lists_all(room):
-    said = set(
-        re.findall(r"^(\w+)(?:\.py|/) ", ast.get_docstring(ast.parse(room.read_text(encoding="utf-8"))) or "", re.M)
-    )
+    said = set(re.findall(r"^(\w+)(?:\.py|/) ", ast.get_docstring(ast.parse(room.read_text(encoding="utf-8"))) or "", re.M))
     there = {p.stem for p in room.parent.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()} - {"__init__"}
     assert not said or said == there
 
@@ -201,9 +197,7 @@ def test_the_laboratory_imports_public_modules_alone():
 def test_the_product_names_the_laboratory_only_for_types():
     """Those of `rotorwatch.NAME` that our own entry points offer."""
     files = [path for path in (SOURCE / "rotorwatch").rglob("*.py") if path != SOURCE / "rotorwatch" / "__init__.py"]
-    assert [
-        f"{path}:{line}" for path in files for line, name in imports(path) if name.startswith("rotorwatch_lab")
-    ] == []
+    assert [f"{path}:{line}" for path in files for line, name in imports(path) if name.startswith("rotorwatch_lab")] == []
     offered = {name for name in discovery.offered("rotorwatch.api")}
     typed = {name.rpartition(".")[2] for _, name in imports(SOURCE / "rotorwatch" / "__init__.py") if "_lab." in name}
     assert typed < offered

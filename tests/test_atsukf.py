@@ -37,9 +37,7 @@ def walk(estimator, u, y, valid, dt=None):
         carry, out = step(carry, *row)
         outs.append(out)
         carries.append(carry)
-    return type(outs[0])(
-        *(np.stack([np.asarray(leaf) for leaf in column]) for column in zip(*outs, strict=True))
-    ), carries
+    return type(outs[0])(*(np.stack([np.asarray(leaf) for leaf in column]) for column in zip(*outs, strict=True))), carries
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +148,7 @@ def test_the_window_holds_the_last_rows(plant, table):
     u, y, valid = table
     y, valid = y.copy(), valid.copy()
     y[spike], valid[spike] = 1e9, True
-    _, carries = walk(
-        ATSUKF(plant, DT, **TUNING, window_s=M * DT, threshold=1e30), u, np.where(valid, y, np.nan), valid
-    )
+    _, carries = walk(ATSUKF(plant, DT, **TUNING, window_s=M * DT, threshold=1e30), u, np.where(valid, y, np.nan), valid)
     e = np.stack([np.asarray(c.e) for c in carries])
     before = np.vstack([np.zeros(3), e[:-1]])
     measured = np.flatnonzero(valid.any(axis=1))

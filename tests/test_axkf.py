@@ -218,9 +218,7 @@ def test_one_measurement_after_the_other_is_all_at_once(seed, lam):
         return root @ root.T + 0.1 * np.eye(n)
 
     n, p, m = 4, 3, 2
-    state = adaptive_kalman.State(
-        rng.standard_normal(n), covariance(n), rng.standard_normal(p), covariance(p), rng.standard_normal((n, p))
-    )
+    state = adaptive_kalman.State(rng.standard_normal(n), covariance(n), rng.standard_normal(p), covariance(p), rng.standard_normal((n, p)))
     shapes = ((n,), (n, n), (n, p), (m,), (m, n), (m, p))
     table = (*(rng.standard_normal(shape) for shape in shapes), covariance(n), rng.uniform(0.1, 1, m))
     memory = adaptive_kalman.Memory(-1.0 / np.log(lam), np.inf)

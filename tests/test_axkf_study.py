@@ -136,10 +136,7 @@ def test_claims_say_what_holds(result):
 def test_verdicts_follow_from_the_figures(result, claim, now, other, then):
     """Each of them turns when its figure does. Errors of momenta are given as shares of these."""
     scaled = {k: v * np.abs(result.figures["p_final"]) if "p_error" in k else v * np.ones(3) for k, v in other.items()}
-    given = {
-        k: v[:2] if k.startswith("noise") else v if "p_error" in k or k.endswith("final") else v[0]
-        for k, v in scaled.items()
-    }
+    given = {k: v[:2] if k.startswith("noise") else v if "p_error" in k or k.endswith("final") else v[0] for k, v in scaled.items()}
     given = {k: float(v[0]) if k == "s11_final" else v for k, v in given.items()}
     given = {k: (v, 1.0) if k.startswith("excitation") else v for k, v in given.items()}
 

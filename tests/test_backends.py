@@ -24,9 +24,7 @@ from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 COMMAND = [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", str(SAMPLE), "--json"]
 
-needs_compiler = pytest.mark.skipif(
-    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang"
-)
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang")
 
 
 def said(**env):
@@ -78,10 +76,7 @@ def test_the_command_uses_native_code_of_itself_and_then_needs_no_jax():
 
 def test_without_a_compiler_jax_runs_and_says_so_only_when_native_code_was_asked_for(monkeypatch):
     monkeypatch.setenv("CC", "nonesuch")
-    method, table = (
-        EKF(RateDynamics.of(airframes.paper("niermeyer-hexa")), 0.01),
-        (np.full((5, 6), 0.3), np.zeros((5, 4))),
-    )
+    method, table = (EKF(RateDynamics.of(airframes.paper("niermeyer-hexa")), 0.01), (np.full((5, 6), 0.3), np.zeros((5, 4))))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         run(method, *table, backend="auto")

@@ -5,18 +5,7 @@ import pytest
 from tests.plain import array, copied, lower, made, plant
 
 from rotorwatch import airframes
-from rotorwatch.engine.estimator.bank import (
-    DAMPING_ERROR,
-    FIRST_LOSS,
-    GROUP,
-    LONG,
-    SHORT,
-    YAW_ERROR,
-    Bank,
-    Observed,
-    Slots,
-    Window,
-)
+from rotorwatch.engine.estimator.bank import DAMPING_ERROR, FIRST_LOSS, GROUP, LONG, SHORT, YAW_ERROR, Bank, Observed, Slots, Window
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.plant import ANSWER_S, B3, DAMPING, PER_AXIS, SIDEWAYS, THETA, YAW_GAIN, Rows
 from rotorwatch.engine.host.program import square
@@ -44,10 +33,7 @@ def run():
     h = rng.standard_normal((TICKS, 4, STATES)) * ((states // PER_AXIS == axis[:, None]) | (states >= SIDEWAYS))
     w = rng.uniform(0.5, 2.0, (TICKS, 4)) * (rng.random((TICKS, 4)) > 0.2)  # now and then an axis is not measured
     w[3] = 0.0
-    K, nu = (
-        0.2 * rng.standard_normal((TICKS, 4, STATES)) * (w > 0)[..., None],
-        rng.standard_normal((TICKS, 4)) * (w > 0),
-    )
+    K, nu = (0.2 * rng.standard_normal((TICKS, 4, STATES)) * (w > 0)[..., None], rng.standard_normal((TICKS, 4)) * (w > 0))
     bank.begin(p)
     kept = {}
     for k in range(TICKS):

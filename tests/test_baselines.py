@@ -37,9 +37,7 @@ def test_one_flight_need_not_be_a_list(tmp_path):
 
 
 def test_a_baseline_of_another_frame_is_named_in_one_sentence():
-    with pytest.raises(
-        VehicleError, match=r"hexa.bin: its frame is ardupilot-hexa-x with 6 rotors, not ardupilot-quad-x with 4"
-    ):
+    with pytest.raises(VehicleError, match=r"hexa.bin: its frame is ardupilot-hexa-x with 6 rotors, not ardupilot-quad-x with 4"):
         diagnose(flown(), baseline=flown("hexa.bin", frame=2, rotors=6))
 
 
@@ -84,9 +82,7 @@ def test_a_flight_too_short_to_be_judged_is_not_suspicious():
 
 def slower(flight):
     """Every second sample of it: 5 Hz to 10 Hz."""
-    thin = {
-        k: replace(s, time=s.time[::2], values=s.values[::2], valid=s.valid[::2]) for k, s in flight.signals.items()
-    }
+    thin = {k: replace(s, time=s.time[::2], values=s.values[::2], valid=s.valid[::2]) for k, s in flight.signals.items()}
     return replace(flight, signals=thin)
 
 
@@ -132,9 +128,7 @@ def test_what_cannot_be_of_one_aircraft(other, says):
     [
         lambda: flown("full battery.bin", hover=0.33),
         lambda: flown("trim.bin", offset=(0.12, 0.01, -0.12, -0.01)),
-        lambda: set_to(
-            flown("limits.bin"), MOT_SPIN_MIN=0.166, MOT_SPIN_MAX=0.942
-        ),  # what a real build's two days differ by
+        lambda: set_to(flown("limits.bin"), MOT_SPIN_MIN=0.166, MOT_SPIN_MAX=0.942),  # what a real build's two days differ by
     ],
 )
 def test_what_can_be_of_one_aircraft(other):

@@ -78,9 +78,7 @@ def test_a_plan_that_is_wrong_is_named_by_field(tmp_path, change, says):
 
 def columns(rows):
     full = [
-        dict.fromkeys(score.COLUMNS)
-        | {"flight": k, "method": "x", "fault": "", "clear": False, "false_alarms": 0}
-        | row
+        dict.fromkeys(score.COLUMNS) | {"flight": k, "method": "x", "fault": "", "clear": False, "false_alarms": 0} | row
         for k, row in enumerate(rows)
     ]
     return {key: summary.column([row[key] for row in full], kind) for key, (kind, _) in score.COLUMNS.items()}
@@ -107,10 +105,7 @@ def test_the_threshold_leaves_so_many_false_alarms_and_no_more():
 
 
 def test_a_rule_keeps_its_own_threshold_and_without_healthy_time_nothing_is_said():
-    rule = [
-        {"healthy_s": 1800.0, "false_alarms": 2},
-        {"fault": "loss", "clear": True, "delay_s": 3.0, "healthy_s": 0.0},
-    ]
+    rule = [{"healthy_s": 1800.0, "false_alarms": 2}, {"fault": "loss", "clear": True, "delay_s": 3.0, "healthy_s": 0.0}]
     found = summary.at_rate(columns([*rule, {**rule[1], "delay_s": 7.0}]), 1.0, 5.0)
     assert found["threshold"] is None and found["false_alarms_h"]["value"] == 4.0
     assert found["detected"]["value"] == 0.5 and found["delay_s"]["value"] == 3.0
@@ -135,12 +130,7 @@ def made(name="one", found=0.8, plan=None, **more):
     """Results of one method, as they would be written."""
     text = SMALL if plan is None else plan
     value = {"value": 0.5, "low": 0.25, "high": 1.0, "n": 10}
-    scores = dict.fromkeys(results_file.MEASURES, value) | {
-        "flights": 4,
-        "clear_faults": 2,
-        "healthy_h": 0.1,
-        "threshold": -1.0,
-    }
+    scores = dict.fromkeys(results_file.MEASURES, value) | {"flights": 4, "clear_faults": 2, "healthy_h": 0.1, "threshold": -1.0}
     scores |= {"detected": {"value": found, "low": found - 0.1, "high": found + 0.1, "n": 10}, **more}
     method = {
         "name": name, "kind": "estimator", "about": "A <method>", "package": "somewhere", "version": "1.0", "path": "a:B", "failed": None,
@@ -281,9 +271,7 @@ def test_the_flights_behind_a_share_are_kept():
 def test_methods_of_several_files_are_ordered_by_what_they_find(tmp_path):
     many = {"value": 50.0, "low": 20.0, "high": 90.0, "n": 5}
     noisy = {"false_alarms_h": many, "own_false_alarms_h": many}
-    failed = changed(
-        ["methods", 0, "failed"], "It fails: no reason.", changed(["methods", 0, "scores"], None, made("broken"))
-    )
+    failed = changed(["methods", 0, "failed"], "It fails: no reason.", changed(["methods", 0, "scores"], None, made("broken")))
     paths = written(
         tmp_path, a=made("good", 0.8), b=made("bad", 0.3), c=made("better", 0.85), d=made("rule", 0.9, threshold=None, **noisy), e=failed,
     )  # fmt: skip
@@ -296,17 +284,13 @@ def test_methods_of_several_files_are_ordered_by_what_they_find(tmp_path):
     assert done.exit_code == 0, done.output
     assert done.output.index("better") < done.output.index("bad") and "It fails: no reason." in done.output
     page = (tmp_path / "page.html").read_text()
-    assert (
-        "A &lt;method&gt;" in page and "85 % (75 to 95)" in page and "http" not in page.replace("http://www.w3.org", "")
-    )
+    assert "A &lt;method&gt;" in page and "85 % (75 to 95)" in page and "http" not in page.replace("http://www.w3.org", "")
     assert page.count("<svg") == 4 and benchmark_plan.digest(SMALL) in page
 
 
 def test_files_of_different_plans_are_not_mixed(tmp_path):
     paths = written(tmp_path, a=made(), b=made(plan=SMALL.replace("0.3", "0.6")))
-    with pytest.raises(
-        ConfigError, match=r"a.json is of the plan small version 1 \(\w{8}\) and .*b.json of small version 1 \(\w{8}\)"
-    ):
+    with pytest.raises(ConfigError, match=r"a.json is of the plan small version 1 \(\w{8}\) and .*b.json of small version 1 \(\w{8}\)"):
         ranking.rank(paths)
     with pytest.raises(ConfigError, match="There is nothing to rank"):
         ranking.rank([])
@@ -320,10 +304,7 @@ def test_files_of_different_plans_are_not_mixed(tmp_path):
         (["quick", "full", "-o", "x.json"], "One plan at a time"),
         (["quick", "--method", "ekf", "-o", "x.json"], "write package.module:Class"),
         (["quick", "--methods", "nope", "-o", "x.json"], "There is no method called 'nope'; known are"),
-        (
-            ["quick", "--methods", "ekf,rotorwatch_lab.estimators.ekf:EKF", "-o", "x.json"],
-            "Two methods call themselves ekf",
-        ),
+        (["quick", "--methods", "ekf,rotorwatch_lab.estimators.ekf:EKF", "-o", "x.json"], "Two methods call themselves ekf"),
         (["quick", "--data", "crazypad", "-o", "x.json"], "write NAME=PATH"),
         (["quick", "--data", "crazypad=nowhere", "-o", "x.json"], "there is no such folder"),
         (["quick", "--data", "alfa=.", "-o", "x.json"], "fixed-wing"),
@@ -406,9 +387,7 @@ def test_a_method_that_cannot_be_run_is_told_before_anything_flies(kind, says, t
 
 def test_a_method_that_fails_on_the_way_is_left_out_and_the_others_go_on(tmp_path, monkeypatch):
     methods = tuple(benchmark.selected_methods(["ekf", "akf"]))
-    entered = benchmark._entered(
-        benchmark.parsed(SMALL) if hasattr(benchmark, "parsed") else benchmark_plan.parsed(SMALL), methods
-    )
+    entered = benchmark._entered(benchmark.parsed(SMALL) if hasattr(benchmark, "parsed") else benchmark_plan.parsed(SMALL), methods)
     judge, ran = benchmark.Judge(str(tmp_path), methods), []
 
     def rows(plan, flown, size, failed):
@@ -422,18 +401,14 @@ def test_a_method_that_fails_on_the_way_is_left_out_and_the_others_go_on(tmp_pat
     judge(entered, (0, 1), 2)
     judge(entered, (2, 3), 2)
     assert ran == [("ekf", "akf"), ("ekf",)]
-    assert judge.failed() == {
-        "akf": "The estimator akf of the package rotorwatch 0.1.0 fails: FloatingPointError: it blew up."
-    }
+    assert judge.failed() == {"akf": "The estimator akf of the package rotorwatch 0.1.0 fails: FloatingPointError: it blew up."}
 
 
 def test_parts_of_other_methods_are_not_mixed_in(tmp_path):
     entered = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["ekf"]))
     other = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["akf"]))
     (tmp_path / "plan.toml").write_text(other.text)
-    with pytest.raises(
-        ConfigError, match="holds parts of a run with another plan or other methods: delete that folder"
-    ):
+    with pytest.raises(ConfigError, match="holds parts of a run with another plan or other methods: delete that folder"):
         benchmark._same_run(tmp_path, entered)
 
 
@@ -496,13 +471,9 @@ def test_logs_with_known_faults_are_scored_as_simulated_flights_are(tmp_path):
     plan = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["default", "px4-esc-current"]))
     rows, left_out = public_data.judge(data, plan)
     assert [log for log, _ in left_out] == ["damaged.bin"] and "damaged.bin" in left_out[0][1]
-    assert {(row["method"], row["rotors"]) for row in rows} == {
-        (m, n) for m in ("default", "px4-esc-current") for n in (4, 6)
-    }
+    assert {(row["method"], row["rotors"]) for row in rows} == {(m, n) for m in ("default", "px4-esc-current") for n in (4, 6)}
     (faulty,) = [row for row in rows if row["fault"] and row["method"] == "default"]
-    assert (
-        faulty["right"] and faulty["delay_s"] < 2.0 and abs(faulty["estimate"] - 0.37) < 0.08 and faulty["loss"] == 0.37
-    )
+    assert faulty["right"] and faulty["delay_s"] < 2.0 and abs(faulty["estimate"] - 0.37) < 0.08 and faulty["loss"] == 0.37
     (whole,) = [row for row in rows if not row["fault"] and row["method"] == "default"]
     assert whole["false_alarms"] == 0 and whole["healthy_s"] > 60.0
 
@@ -536,9 +507,7 @@ def test_two_methods_of_another_package_are_tried_and_ranked_by_the_real_command
         return done
 
     shorter = (ROOT / "src/rotorwatch_lab/campaign/benchmark_plans/quick.toml").read_text()
-    (tmp_path / "plan.toml").write_text(
-        shorter.replace("flights = 64", "flights = 7").replace('name = "quick"', 'name = "shorter"')
-    )
+    (tmp_path / "plan.toml").write_text(shorter.replace("flights = 64", "flights = 7").replace('name = "quick"', 'name = "shorter"'))
     names = "fixed_gain,residual_cusum"
     command("plan.toml", "--methods", names, "--method", "beside:Quick", "-o", "two.json", "--jobs", "1")
     results = results_file.read(tmp_path / "two.json")

@@ -17,9 +17,7 @@ def by_enumeration(H, g, low, high):
     n = len(g)
     sides = np.array(list(itertools.product((-1, 0, 1), repeat=n)))
     fixed, free = np.where(sides < 0, low, np.where(sides > 0, high, 0.0)), sides == 0
-    masked = np.where(free[:, :, None] & free[:, None, :], H, 0.0) + np.where(free, 0.0, np.diag(H))[
-        :, :, None
-    ] * np.eye(n)
+    masked = np.where(free[:, :, None] & free[:, None, :], H, 0.0) + np.where(free, 0.0, np.diag(H))[:, :, None] * np.eye(n)
     t = np.where(free, np.linalg.solve(masked, np.where(free, g - fixed @ H, 0.0)[..., None])[..., 0], fixed)
     t = t + np.where(free, np.linalg.solve(masked, np.where(free, g - t @ H, 0.0)[..., None])[..., 0], 0.0)
     feasible = ((t >= low - 1e-11) & (t <= high + 1e-11)).all(axis=1)

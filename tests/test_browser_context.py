@@ -95,19 +95,13 @@ def test_the_address_shows_a_moment_in_every_plot(browser, address):
     page.evaluate("location.hash = '#t=20'")
     until(page, f"{SPANS}[0].location === 20")
     page.click("#at-clear")
-    assert (
-        marked(page) == []
-        and page.evaluate("location.hash") == ""
-        and page.evaluate("document.activeElement.id") == "at-time"
-    )
+    assert marked(page) == [] and page.evaluate("location.hash") == "" and page.evaluate("document.activeElement.id") == "at-time"
 
 
 def test_other_addresses_are_ignored(browser, address):
     tab = opened(browser, f"{address}#t=999")
     page = tab.page
-    for (
-        wrong
-    ) in "t=999 t= t=abc t=-5 t=1e1 t=12,5 t=NaN t=5%00 t=10<b> x=10 t=10&t=20 t=0x10 t=12345678901234567890".split():
+    for wrong in "t=999 t= t=abc t=-5 t=1e1 t=12,5 t=NaN t=5%00 t=10<b> x=10 t=10&t=20 t=0x10 t=12345678901234567890".split():
         page.evaluate("(hash) => (location.hash = hash)", wrong)
         page.wait_for_timeout(20)
         assert marked(page) == [] and not page.evaluate("document.getElementById('context').open"), wrong
@@ -122,9 +116,7 @@ def test_a_moment_is_chosen_by_a_click_on_the_map_and_by_keyboard(browser, addre
     plot = page.locator("#plot-loss")
     plot.scroll_into_view_if_needed()
     box = plot.bounding_box()
-    start, end = page.evaluate(
-        "(({ start, end }) => [start, end])(Bokeh.documents[0].roots().find((f) => f.name === 'loss').x_range)"
-    )
+    start, end = page.evaluate("(({ start, end }) => [start, end])(Bokeh.documents[0].roots().find((f) => f.name === 'loss').x_range)")
     page.mouse.click(box["x"] + 0.5 * (72 + box["width"]), box["y"] + 150)
     until(page, f"{SPANS}[0].visible")
     (time,) = marked(page)

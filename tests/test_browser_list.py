@@ -63,9 +63,7 @@ def query(page):
 
 def focus(page):
     """What has the focus: its id, address or label."""
-    return page.evaluate(
-        "(e => e.id || e.getAttribute('href') || e.getAttribute('aria-label') || e.tagName)(document.activeElement)"
-    )
+    return page.evaluate("(e => e.id || e.getAttribute('href') || e.getAttribute('aria-label') || e.tagName)(document.activeElement)")
 
 
 def test_filters_and_order_stand_in_the_address(tab, site):
@@ -83,13 +81,7 @@ def test_filters_and_order_stand_in_the_address(tab, site):
     page.wait_for_selector("th[aria-sort=ascending] [data-sort='-duration']")
     shown = names(page)
     assert shown == ["0052", "0055"] and page.locator("[aria-sort]").count() == 1
-    wanted = {
-        "verdict": "healthy",
-        "aircraft": "Quad 1",
-        "since": "2026-05-02",
-        "min_duration": "60",
-        "sort": "duration",
-    }
+    wanted = {"verdict": "healthy", "aircraft": "Quad 1", "since": "2026-05-02", "min_duration": "60", "sort": "duration"}
     assert query(page) == wanted
 
     page.reload()
@@ -111,11 +103,7 @@ def test_a_link_with_what_cannot_be_asked_says_so(tab, site):
     page.goto(f"{site.address}?since=2026-05-03T09:00&min_loss=0.01#flights")
     found(page, "2 flights found")
     assert page.input_value("#since") == "2026-05-03T09:00" and page.input_value("#min_loss") == "0.01"
-    for ask, says in (
-        ("aircraft=nobody", "has no aircraft nobody"),
-        ("sort=size", "choose from"),
-        ("until=May", "give a day"),
-    ):
+    for ask, says in (("aircraft=nobody", "has no aircraft nobody"), ("sort=size", "choose from"), ("until=May", "give a day")):
         page.goto(f"{site.address}?{ask}")
         found(page, says)
         assert page.locator("#list").is_hidden()
@@ -163,9 +151,7 @@ def test_two_flights_are_compared_by_keyboard(tab):
     assert page.locator("#compared .airframe").count() == 2
     # The page's script sets the colours when the page has been read to its end: later than the first drawing is there.
     page.wait_for_load_state("load")
-    assert (
-        page.evaluate("getComputedStyle(document.querySelector('.degraded')).getPropertyValue('--rotor')") == "#d55e00"
-    )
+    assert page.evaluate("getComputedStyle(document.querySelector('.degraded')).getPropertyValue('--rotor')") == "#d55e00"
     page.go_back()
     page.wait_for_selector("#list tbody tr")
 
@@ -185,9 +171,7 @@ def test_the_keys_are_shown_and_can_be_switched_off(tab):
     page.locator("#list a.name").first.focus()
     for key in "x/?":
         page.keyboard.press(key)
-    assert (
-        page.locator("#chosen").is_hidden() and page.locator("#keys").is_hidden() and focus(page) == f"/flights/{FAULT}"
-    )
+    assert page.locator("#chosen").is_hidden() and page.locator("#keys").is_hidden() and focus(page) == f"/flights/{FAULT}"
     page.keyboard.press("ArrowDown")
     assert focus(page) == f"/flights/{LATER}"
 
@@ -280,19 +264,7 @@ def test_everything_is_reached_by_tab_and_seen(tab):
         reached.append(seen[0])
         assert seen[1], f"{seen[0]} does not show that it has the focus"
         assert seen[2], f"{seen[0]} has the focus and cannot be seen"
-    wanted = {
-        "SUMMARY",
-        "verdict",
-        "aircraft",
-        "since",
-        "until",
-        "min_loss",
-        "min_duration",
-        "sort",
-        "compare",
-        "delete",
-        "unchoose",
-    }
+    wanted = {"SUMMARY", "verdict", "aircraft", "since", "until", "min_loss", "min_duration", "sort", "compare", "delete", "unchoose"}
     wanted |= {"-verdict", "name", "-date", "-loss", "-duration", f"/flights/{FAULT}", "INPUT"}
     assert wanted <= set(reached), wanted - set(reached)
 
@@ -326,8 +298,7 @@ def test_a_deleted_flight_goes_from_all_tabs(tab, site, browser):  # noqa: F811
     for row in (0, 1):
         page.locator("#list .choice input").nth(row).check()
     page.route(
-        "**/api/flights/" + f"{MANY - 3:064x}",
-        lambda route: route.fulfill(status=503, json={"error": "The list cannot be written."}),
+        "**/api/flights/" + f"{MANY - 3:064x}", lambda route: route.fulfill(status=503, json={"error": "The list cannot be written."})
     )
     page.click("#delete")
     page.click("#sure-yes")

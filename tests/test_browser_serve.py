@@ -23,20 +23,9 @@ class Server:
         self.store, self.port, self.process, self.address = store, 0, None, ""
 
     def start(self, *arguments):
-        command = [
-            sys.executable,
-            "-m",
-            "rotorwatch.commands.cli",
-            "serve",
-            "--port",
-            str(self.port),
-            "--store",
-            str(self.store),
-        ]
+        command = [sys.executable, "-m", "rotorwatch.commands.cli", "serve", "--port", str(self.port), "--store", str(self.store)]
         environment = {k: v for k, v in os.environ.items() if not k.startswith("ROTORWATCH_")}
-        self.process = subprocess.Popen(
-            [*command, *map(str, arguments)], stdout=subprocess.PIPE, text=True, env=environment
-        )
+        self.process = subprocess.Popen([*command, *map(str, arguments)], stdout=subprocess.PIPE, text=True, env=environment)
         self.address = self.process.stdout.readline().strip()
         assert self.address.startswith("http://127.0.0.1:"), "the server did not start"
         self.port = int(self.address.rstrip("/").rpartition(":")[2])
@@ -189,11 +178,7 @@ def test_the_post_of_a_flight_is_copied(tab, site, browser):
         other.bring_to_front()
         other.focus("#search")
         copied = other.evaluate("navigator.clipboard.readText()")
-        assert (
-            copied.startswith("**✓ Healthy: ")
-            and QUAD.name in copied
-            and copied.endswith("first record of the log.*\n")
-        )
+        assert copied.startswith("**✓ Healthy: ") and QUAD.name in copied and copied.endswith("first record of the log.*\n")
         other.evaluate("navigator.clipboard.writeText('nothing')")
         other.close()
         page.bring_to_front()

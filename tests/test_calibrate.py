@@ -33,13 +33,7 @@ def flown(name="one.bin", hover=0.4, offset=(0.1, 0.0, -0.1, 0.0), frame=1, roto
         "accel": Signal(time, np.add(still, [0.0, 0.0, -wf.G0]), ("x", "y", "z"), "m/s^2"),
         "velocity": Signal(time, still + np.outer(climb, [0.0, 0.0, 1.0]), ("n", "e", "d"), "m/s"),
     }
-    parameters = {
-        "FRAME_CLASS": frame,
-        "FRAME_TYPE": 1,
-        "MOT_THST_EXPO": 0.65,
-        "MOT_SPIN_MIN": 0.15,
-        "MOT_SPIN_MAX": 0.95,
-    }
+    parameters = {"FRAME_CLASS": frame, "FRAME_TYPE": 1, "MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95}
     parameters |= {"MOT_PWM_MIN": 1000, "MOT_PWM_MAX": 2000}
     return Flight("ArduPilot DataFlash", "ArduPilot", signals, 60.0, parameters=parameters, name=name)
 

@@ -157,10 +157,7 @@ def paths_of(table, above=()):
 DRAW = st.sampled_from(["choice", "uniform", "log_uniform", "x"])
 NUMBER = st.floats() | st.integers(-5, 100) | st.booleans()
 JUNK = st.recursive(
-    st.none()
-    | NUMBER
-    | st.text(max_size=4)
-    | st.sampled_from(["loss", "stuck", "hover", "hexa-x", "f450", "ruav-40kg"]),
+    st.none() | NUMBER | st.text(max_size=4) | st.sampled_from(["loss", "stuck", "hover", "hexa-x", "f450", "ruav-40kg"]),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(DRAW, st.lists(inner, max_size=3), max_size=2),
     max_leaves=5,
 )
@@ -171,9 +168,7 @@ JUNK = st.recursive(
 def test_junk_anywhere_is_one_sentence_or_a_plan_that_flies(where, junk, add):
     """A value, a draw, a table or a key that does not belong: refused by the name of its part, else every flight can be drawn."""
     try:
-        plan = campaign.from_table(
-            table([((*where, add), junk) if add is not None and add_to(where) else (where, junk)])
-        )
+        plan = campaign.from_table(table([((*where, add), junk) if add is not None and add_to(where) else (where, junk)]))
     except ConfigError as why:
         text = str(why)
         assert "\n" not in text and len(text) < 600
@@ -195,9 +190,7 @@ SCENARIO_FIELDS = [
     (part, name)
     for part, fields in scenario.FIELDS.items()
     for name, field in fields.items()
-    if field.low < field.high
-    and not field.numbers
-    and (part, name) not in {("", "seed"), ("", "duration_s"), ("", "rate_hz")}
+    if field.low < field.high and not field.numbers and (part, name) not in {("", "seed"), ("", "duration_s"), ("", "rate_hz")}
 ]
 
 
@@ -307,9 +300,7 @@ def test_killed_twice_and_the_same_table(fake, tmp_path):
         process.stderr.close()
         if folder == "killed":
             again = judged()[before:]
-            assert not kept & set(again) and len(again) == len(set(again)) == 80 - len(
-                kept
-            )  # nothing twice, nothing lost
+            assert not kept & set(again) and len(again) == len(set(again)) == 80 - len(kept)  # nothing twice, nothing lost
     killed, whole = (store.Folder(tmp_path / name).table() for name in ("killed", "whole"))
     assert killed.num_rows == 80 and killed.equals(whole)
 
@@ -322,11 +313,7 @@ def numbers(name):
 def quick(plan, flights, size):
     rows = []
     for k in flights:
-        row = dict.fromkeys(score.COLUMNS) | {
-            "flight": k,
-            "method": "default",
-            "wind_m_s": plan.flight(k).wind["speed_m_s"],
-        }
+        row = dict.fromkeys(score.COLUMNS) | {"flight": k, "method": "default", "wind_m_s": plan.flight(k).wind["speed_m_s"]}
         rows.append(row)
     return rows
 
@@ -424,9 +411,7 @@ def test_a_flight_that_cannot_fly_is_told_with_its_number(tmp_path):
         (("scenario", "airframe", "payload_kg"), {"choice": [0.0, 2.0]}),
     ]
     plan = campaign.from_table(table(changes))
-    heavy = next(
-        k for k in range(50) if plan.flight(k).airframe["mass_kg"] < 2.0 < 1.0 + plan.flight(k).airframe["payload_kg"]
-    )
+    heavy = next(k for k in range(50) if plan.flight(k).airframe["mass_kg"] < 2.0 < 1.0 + plan.flight(k).airframe["payload_kg"])
     with pytest.raises(ConfigError, match=rf"flight {heavy}: airframe.payload_kg: "):
         batch.fly(plan, (heavy,), 1)
 
@@ -447,9 +432,7 @@ def made(rows):
             "wrong": 0,
             "judged_s": 36.0, "healthy_s": 36.0, "flight": k} | row for k, row in enumerate(rows)]  # fmt: skip
     types = {"int64": pyarrow.int64(), "string": pyarrow.string(), "double": pyarrow.float64(), "bool": pyarrow.bool_()}
-    return pyarrow.Table.from_pylist(
-        full, schema=pyarrow.schema([(c, types[k]) for c, (k, _) in score.COLUMNS.items()])
-    )
+    return pyarrow.Table.from_pylist(full, schema=pyarrow.schema([(c, types[k]) for c, (k, _) in score.COLUMNS.items()]))
 
 
 def broken(**more):
@@ -529,13 +512,11 @@ def test_curves_of_groups_are_those_of_their_flights():
     """Each frame's, profile's and wind's curves are what a table of these flights alone gives."""
     rows = [{"peak": -3.0, "frame": f, "wind_m_s": w} for f in ("quad-x", "hexa-x") for w in (1.0, 4.0)] * 5
     rows += [{"peak": 1.0, "false_alarms": 1, "frame": "hexa-x", "wind_m_s": 4.0}]
-    rows += [broken(frame="quad-x")] * 6 + [
-        broken(frame="hexa-x", delay_s=3.0, estimate=0.25, wind_m_s=8.0, peak_2s=-1.0)
-    ] * 4
+    rows += [broken(frame="quad-x")] * 6 + [broken(frame="hexa-x", delay_s=3.0, estimate=0.25, wind_m_s=8.0, peak_2s=-1.0)] * 4
     found = campaign.summarise(made(rows))["methods"]["default"]
-    assert set(found["curves"]) == {"frame", "profile", "wind", "induced velocity"} and set(
-        found["curves"]["wind"]
-    ) == set(found["groups"]["wind"])
+    assert set(found["curves"]) == {"frame", "profile", "wind", "induced velocity"} and set(found["curves"]["wind"]) == set(
+        found["groups"]["wind"]
+    )
     for frame in ("quad-x", "hexa-x"):
         alone = campaign.summarise(made([row for row in rows if row.get("frame") == frame]))["methods"]["default"]
         curves = found["curves"]["frame"][frame]
@@ -553,12 +534,7 @@ def test_curves_of_groups_are_those_of_their_flights():
 def test_the_page_shows_every_method_and_group(tmp_path, monkeypatch):
     """More methods than colours, a rule without a statistic, and pictures by frame, profile and wind."""
     monkeypatch.setattr(page, "COLOURS", page.COLOURS[:1])
-    rows = [
-        {"peak": -3.0},
-        {"peak": 0.5, "false_alarms": 1},
-        *[broken()] * 3,
-        *[broken(frame="hexa-x", wind_m_s=8.0)] * 3,
-    ]
+    rows = [{"peak": -3.0}, {"peak": 0.5, "false_alarms": 1}, *[broken()] * 3, *[broken(frame="hexa-x", wind_m_s=8.0)] * 3]
     rows += [broken(autopilot="ardupilot", profile="default", wind_m_s=4.0)]
     names = [f"method-{k}" for k in range(2)]
     rows = [{**row, "method": name} for name in names for row in rows]
@@ -583,16 +559,12 @@ def test_an_empty_table_is_refused():
 def test_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(work.batch, "width", lambda: 4)
     monkeypatch.setattr(
-        campaign,
-        "run",
-        lambda *a, **k: work.run(*a, judge=lambda *b: made([broken(flight=k) for k in b[1]]).to_pylist(), **k),
+        campaign, "run", lambda *a, **k: work.run(*a, judge=lambda *b: made([broken(flight=k) for k in b[1]]).to_pylist(), **k)
     )
     command = ["campaign", str(written(tmp_path)), "--flights", "9", "--jobs", "1", "-o", str(tmp_path / "out")]
     done = CliRunner().invoke(cli.cli, command, catch_exceptions=False)
     assert done.exit_code == 0 and "9 flights" in done.output
-    assert {"flights.parquet", "summary.json", "index.html", "plan.toml"} <= {
-        p.name for p in (tmp_path / "out").iterdir()
-    }
+    assert {"flights.parquet", "summary.json", "index.html", "plan.toml"} <= {p.name for p in (tmp_path / "out").iterdir()}
     done = CliRunner().invoke(cli.cli, [*command, "--json", "-q"], catch_exceptions=False)
     assert json.loads(done.stdout)["flights"] == 9
     assert plans.read(tmp_path / "out" / "plan.toml").cells == plans.read(tmp_path / "small.toml").cells

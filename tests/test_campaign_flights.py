@@ -82,9 +82,7 @@ def test_as_diagnose_judges_the_log(plan, rows):
             some += 1
             assert "+".join(map(str, sorted(events[0].rotors))) == row["broken"]
             assert events[0].detected_s - row["onset_s"] == pytest.approx(row["delay_s"], abs=1e-6)
-            assert events[0].loss[0] == pytest.approx(
-                row["estimate"], abs=0.03
-            )  # at the end of the flight, here 10 s on
+            assert events[0].loss[0] == pytest.approx(row["estimate"], abs=0.03)  # at the end of the flight, here 10 s on
     assert 0 < some < WIDTH
 
 
@@ -93,21 +91,7 @@ def test_a_dead_rotor_in_wind_is_not_taken_for_the_other_on_its_arm():
     accused the other one. Light vehicles: 2 to 3 m/s of air through their rotors in hover."""
     for frame, seed, mass, arm, power, lag, shake, kind, speed, wind, rotor, onset, profile in (
         ("y6", 914589413, 1.579, 0.582, 2.469, 0.041, 1.208, "climb", 4.521, (7.852, 41.213), 3, 22.91, "default"),
-        (
-            "octaquad-x",
-            1371858336,
-            1.352,
-            0.276,
-            2.315,
-            0.021,
-            0.349,
-            "figure-eight",
-            4.136,
-            (5.297, 225.989),
-            7,
-            31.038,
-            "fast",
-        ),
+        ("octaquad-x", 1371858336, 1.352, 0.276, 2.315, 0.021, 0.349, "figure-eight", 4.136, (5.297, 225.989), 7, 31.038, "fast"),
     ):
         table = {
             "name": "one arm", "seed": seed, "duration_s": onset + 8.0, "logging": {"profile": profile}, "sensors": {"vibration": shake},

@@ -188,11 +188,7 @@ def test_reports_of_several_logs(fake, run):
 
 def test_report_names_never_clash(fake):
     logs = (Path("a/x.bin"), Path("b/x.bin.xz"), Path("plain"))
-    assert [p.name for p in cli.report_paths(logs, Path("out/r-{name}.html"))] == [
-        "r-x.html",
-        "r-x-2.html",
-        "r-plain.html",
-    ]
+    assert [p.name for p in cli.report_paths(logs, Path("out/r-{name}.html"))] == ["r-x.html", "r-x-2.html", "r-plain.html"]
 
 
 # Other commands
@@ -281,9 +277,7 @@ def test_broken_pipe_is_quiet_and_no_verdict():
     """As in `rotorwatch ... | head`: 1 would say that a fault was found."""
     read_end, write_end = os.pipe()
     os.close(read_end)
-    done = subprocess.run(
-        [sys.executable, "-m", "rotorwatch.commands.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE
-    )
+    done = subprocess.run([sys.executable, "-m", "rotorwatch.commands.cli", "--help"], stdout=write_end, stderr=subprocess.PIPE)
     os.close(write_end)
     assert (done.returncode, done.stderr) == (141, b"")
 
@@ -332,11 +326,7 @@ def test_info_counts_invalid_samples_and_empty_signals():
 
 
 def test_info_shows_notable_messages_only():
-    said = (
-        Message(1.0, "text", "EKF3 IMU0 is using GPS"),
-        Message(2.0, "text", "Potential Thrust Loss (3)"),
-        Message(3.0, "mode", "LAND"),
-    )
+    said = (Message(1.0, "text", "EKF3 IMU0 is using GPS"), Message(2.0, "text", "Potential Thrust Loss (3)"), Message(3.0, "mode", "LAND"))
     assert [m["time_s"] for m in info(a_flight(messages=said))["messages"]] == [2.0, 3.0]
 
 

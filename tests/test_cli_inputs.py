@@ -20,9 +20,7 @@ SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
 
 def outside(*argv, **how):
-    return subprocess.run(
-        [sys.executable, "-m", "rotorwatch.commands.cli", *map(str, argv)], capture_output=True, timeout=120, **how
-    )
+    return subprocess.run([sys.executable, "-m", "rotorwatch.commands.cli", *map(str, argv)], capture_output=True, timeout=120, **how)
 
 
 @pytest.fixture
@@ -68,11 +66,7 @@ def test_what_never_ends_is_no_log(fake, run, typed, monkeypatch):  # noqa: F811
 
 @pytest.mark.parametrize("given", ["https://logs.px4.io/x.ulg", "http://a/b.bin", "s3://bucket/x.bin"])
 def test_an_address_is_no_file(fake, run, given):  # noqa: F811
-    for argv in (
-        ("info", given),
-        ("diagnose", "fault.bin", "--baseline", given),
-        ("diagnose", "fault.bin", "--report", given),
-    ):
+    for argv in (("info", given), ("diagnose", "fault.bin", "--baseline", given), ("diagnose", "fault.bin", "--report", given)):
         code, out, err = run(*argv)
         assert (code, out) == (2, "") and f"{given} is an address, not a file: download it first" in err
 
@@ -132,8 +126,7 @@ def test_a_place_that_cannot_be_written_to_is_noticed_before_the_work(fake, run,
 
 
 @pytest.mark.parametrize(
-    "argv",
-    [("observability", "--vehicle", "ardupilot-quad-x", "--figure", "f.svg"), ("reproduce", "aesmf", "--figures", "d")],
+    "argv", [("observability", "--vehicle", "ardupilot-quad-x", "--figure", "f.svg"), ("reproduce", "aesmf", "--figures", "d")]
 )
 def test_a_missing_library_is_noticed_before_the_work(fake, run, monkeypatch, argv):  # noqa: F811
     def work(*_, **__):

@@ -26,9 +26,7 @@ def fake(paper):
         forms = {"It converges.": {"as printed": "refuted", "mended": "holds"}}
         return Reproduction(paper, f"Title of {paper}", (claim,), {"p": float("nan")}, literal, seeds, forms=forms)
 
-    return SimpleNamespace(
-        PAPER=paper, LITERAL={"sign": "as printed"}, SEEDS=7, reproduce=reproduce, figures=lambda _: {"one": Drawing()}
-    )
+    return SimpleNamespace(PAPER=paper, LITERAL={"sign": "as printed"}, SEEDS=7, reproduce=reproduce, figures=lambda _: {"one": Drawing()})
 
 
 @pytest.fixture(autouse=True)

@@ -215,9 +215,7 @@ def test_the_command_goes_on_and_says_who_survives(asked, folder, run):
 def test_bad_requests_are_one_sentence(asked, tmp_path):
     with pytest.raises(ConfigError, match="land = false"):
         closed_loop.fly(
-            plan.read(_written(tmp_path, PLAN.replace("land = false", "land = true").replace("28.0", "60.0"))),
-            range(2),
-            "nobody",
+            plan.read(_written(tmp_path, PLAN.replace("land = false", "land = true").replace("28.0", "60.0"))), range(2), "nobody"
         )
     with pytest.raises(ConfigError, match="nonesuch"):
         closed_loop.run(asked[1], ["nonesuch"], tmp_path / "x", 2)

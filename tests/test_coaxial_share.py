@@ -13,9 +13,7 @@ from rotorwatch.engine.host import events, program
 from rotorwatch.engine.host.plant import lower_rotors
 
 
-@pytest.mark.parametrize(
-    "frame, lower", [("y6", (0, 2, 3)), ("octaquad-x", (4, 5, 6, 7)), ("hexa-x", ()), ("quad-x", ())]
-)
+@pytest.mark.parametrize("frame, lower", [("y6", (0, 2, 3)), ("octaquad-x", (4, 5, 6, 7)), ("hexa-x", ()), ("quad-x", ())])
 def test_which_rotors_are_below(frame, lower):
     vehicle = airframes.named(f"ardupilot-{frame}")
     found = lower_rotors(vehicle.effectiveness())
@@ -36,9 +34,7 @@ def test_the_state_is_the_derivative_of_the_geometry(frame):
     rng = np.random.default_rng(1)
     u = np.concatenate([1.0 + 0.3 * rng.standard_normal(n), np.zeros(9), [2.5, 0.65, 0.0, 0.3]])
     s = 1e-6
-    more = replace(
-        vehicle, rotors=tuple(replace(r, share=r.share * (1.0 + s * r.lower)) for r in vehicle.rotors)
-    ).effectiveness()
+    more = replace(vehicle, rotors=tuple(replace(r, share=r.share * (1.0 + s * r.lower)) for r in vehicle.rotors)).effectiveness()
     wanted = (more - B) / s @ u[:n]
     np.testing.assert_allclose(-measured(p, u)[0][:, SHARE], wanted, rtol=1e-4, atol=1e-6)
     x = np.zeros(THETA + n)
@@ -64,9 +60,7 @@ def test_the_share_is_learned_where_motion_shows_it():
         S = C @ P @ C.T + 0.02**2 * np.eye(4)
         K = np.linalg.solve(S, C @ P).T
         x, P = x + K @ (y - C @ x), P - K @ S @ K.T
-    assert (
-        x[SHARE] == pytest.approx(truth, abs=4 * np.sqrt(P[SHARE, SHARE])) and np.sqrt(P[SHARE, SHARE]) < 0.5 * SHARE_SD
-    )
+    assert x[SHARE] == pytest.approx(truth, abs=4 * np.sqrt(P[SHARE, SHARE])) and np.sqrt(P[SHARE, SHARE]) < 0.5 * SHARE_SD
 
 
 def test_sizes_on_coaxial_frames_carry_what_is_unknown_of_the_share():

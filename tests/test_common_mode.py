@@ -19,9 +19,7 @@ def test_a_change_is_measured_with_an_interval_of_students_test(change, seed):
     rng = np.random.default_rng(seed)
     collective = 0.05 * rng.standard_normal(900) + np.repeat([0.0, change / 2, change], 300)
     found = thrust_shift(collective)
-    first, last = (
-        [np.median(b) for b in np.array_split(part, BLOCKS)] for part in (collective[:300], collective[-300:])
-    )
+    first, last = ([np.median(b) for b in np.array_split(part, BLOCKS)] for part in (collective[:300], collective[-300:]))
     other = stats.ttest_ind(last, first).confidence_interval(0.95)
     assert found["interval"] == pytest.approx([other.low, other.high], abs=1e-3)
     assert found["thrust_shift"] == pytest.approx(change, abs=0.05)

@@ -47,10 +47,7 @@ def test_simulation_is_the_same_for_the_same_seed():
     vehicle = airframes.named("ardupilot-hexa-x")
     patch = pytest.MonkeyPatch()
     patch.setattr(compare_flights, "SECONDS", 2.0)
-    one, other = (
-        compare_flights.simulate(vehicle, [0.0], np.array([0]), np.array([9.0]), np.random.default_rng(s))[0]
-        for s in (1, 1)
-    )
+    one, other = (compare_flights.simulate(vehicle, [0.0], np.array([0]), np.array([9.0]), np.random.default_rng(s))[0] for s in (1, 1))
     patch.undo()
     for name, signal in one.signals.items():
         np.testing.assert_array_equal(signal.values, other[name].values, err_msg=name)
@@ -104,28 +101,10 @@ def test_what_counts(quads, judged):
 def test_rows_add_up():
     hour = {"judged_s": 1800.0}
     trials = [
-        hour
-        | {
-            "fault": True,
-            "false_alarms": 1,
-            "square": 0.01,
-            "delay_s": 1.0,
-            "right": True,
-            "named": True,
-            "covered": True,
-        },
+        hour | {"fault": True, "false_alarms": 1, "square": 0.01, "delay_s": 1.0, "right": True, "named": True, "covered": True},
         hour | {"fault": True, "false_alarms": 0, "square": 0.16},
         hour | {"fault": False, "false_alarms": 2},
-        hour
-        | {
-            "fault": True,
-            "false_alarms": 0,
-            "square": 0.01,
-            "delay_s": 3.0,
-            "right": False,
-            "named": True,
-            "covered": False,
-        },
+        hour | {"fault": True, "false_alarms": 0, "square": 0.01, "delay_s": 3.0, "right": False, "named": True, "covered": False},
     ]
     row = study._row(trials)
     assert row["flights"] == 4 and row["faults"] == 3 and row["false_alarms"] == 3

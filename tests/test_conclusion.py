@@ -37,25 +37,13 @@ OVERRIDE = dict(kind="output_override", loss=(), interval=(), reason="output 3 w
     ("changes", "words"),
     [
         ({}, "Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s."),
-        (
-            {"events": (hexa_event(end_s=40.0), hexa_event(loss=(0.1,)))},
-            "31.20 s until 40.00 s (the first of 2 events).",
-        ),
-        (
-            {"events": (hexa_event(**OVERRIDE),)},
-            "output of rotor 3 (front left) did not follow the mixer from 31.20 s on",
-        ),
-        (
-            {"events": (), "whole_flight": whole("fault", (3,), 0.3)},
-            "Rotor 3 (front left) gave less thrust than on healthy",
-        ),
+        ({"events": (hexa_event(end_s=40.0), hexa_event(loss=(0.1,)))}, "31.20 s until 40.00 s (the first of 2 events)."),
+        ({"events": (hexa_event(**OVERRIDE),)}, "output of rotor 3 (front left) did not follow the mixer from 31.20 s on"),
+        ({"events": (), "whole_flight": whole("fault", (3,), 0.3)}, "Rotor 3 (front left) gave less thrust than on healthy"),
         ({"events": (), "whole_flight": whole("healthy")}, "All rotors perform as on healthy flights."),
         ({"events": ()}, "No rotor lost thrust after take-off. Damage present at take-off was not assessed."),
         ({"events": (), "judged_s": 1.0}, "Not assessed: hardly any of the log is flight."),
-        (
-            {"events": (hexa_event(alternatives=((1, 4),)),)},
-            "rotor 3 (front left), or rotors 1 (right) and 4 (rear right)",
-        ),
+        ({"events": (hexa_event(alternatives=((1, 4),)),)}, "rotor 3 (front left), or rotors 1 (right) and 4 (rear right)"),
         (
             {"events": (), "whole_flight": whole("ambiguous", (3,), 0.3, ((3,), (1,), ()))},
             "Rotor 3 (front left) was 30 % weak from take-off on, or rotor 1 (right) was 1 % weak, or the centre of mass has moved.",
@@ -109,9 +97,7 @@ def population(verdict, rotors=(), loss=0.0):
         ),
     ],
 )
-def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehicles_of_any_build(
-    changes, verdict, headline, states
-):
+def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehicles_of_any_build(changes, verdict, headline, states):
     diagnosis = hexa_diagnosis(**{"events": (), **changes})
     assert diagnosis.verdict == verdict
     assert headline in diagnosis.headline
@@ -127,13 +113,7 @@ def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehic
         ({"population": population("healthy")}, True),
         ({"population": population("ambiguous", (3,), 0.3)}, True),
         ({"population": population("fault", (3,), 0.7)}, False),
-        (
-            {
-                "population": population("ambiguous", (3,), 0.3),
-                "evidence": (residual_evidence.claim((3,), 20.0, 25.0),),
-            },
-            False,
-        ),
+        ({"population": population("ambiguous", (3,), 0.3), "evidence": (residual_evidence.claim((3,), 20.0, 25.0),)}, False),
         ({"events": (hexa_event(alternatives=((4,),)),)}, False),
     ],
 )
@@ -170,9 +150,7 @@ def test_damage_from_take_off_is_not_judged_without_healthy_flights_and_that_is_
 
 
 def test_every_rotor_of_any_explanation_is_suspect_and_its_interval_covers_all_of_them():
-    event = hexa_event(
-        rotors=(1, 2), loss=(0.2, 0.3), interval=((0.1, 0.3), (0.2, 0.4)), alternatives=((3,), (4, 5)), probability=0.5
-    )
+    event = hexa_event(rotors=(1, 2), loss=(0.2, 0.3), interval=((0.1, 0.3), (0.2, 0.4)), alternatives=((3,), (4, 5)), probability=0.5)
     diagnosis = hexa_diagnosis(events=(event,))
     assert diagnosis.verdict == "ambiguous" and diagnosis.main == 0
     assert statuses(diagnosis) == dict.fromkeys(range(1, 6), "suspect") | {6: "healthy"}
@@ -309,14 +287,7 @@ def test_whole_flight_that_cannot_tell_suspects_all_its_causes():
 @pytest.mark.parametrize(("until", "verdict"), [(45.0, "healthy"), (28.0, "inconclusive")])
 def test_what_a_knock_broke_is_known_only_where_something_was_judged_after_it(until, verdict):
     knock = hexa_event(
-        kind="contact",
-        rotors=(),
-        loss=(),
-        interval=(),
-        onset_s=28.5,
-        detected_s=28.5,
-        end_s=28.5,
-        extra={"size": 2.0, "unit": "g"},
+        kind="contact", rotors=(), loss=(), interval=(), onset_s=28.5, detected_s=28.5, end_s=28.5, extra={"size": 2.0, "unit": "g"}
     )
     end = conclude(Evidence((knock,), 6, hidden=[0.04] * 6, judged_s=20.0, judged_until=until))
     assert end.verdict == verdict and "contact at 28.50 s" in end.headline
@@ -327,14 +298,10 @@ def test_what_a_knock_broke_is_known_only_where_something_was_judged_after_it(un
 
 
 def judged_of(judged_s, flown=29.0, **more):
-    return conclude(
-        Evidence((), 4, hidden=np.full(4, 0.02), judged_s=judged_s, hops=((3.0, 3.0 + flown),), blind_s=8.0, **more)
-    )
+    return conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=judged_s, hops=((3.0, 3.0 + flown),), blind_s=8.0, **more))
 
 
-@pytest.mark.parametrize(
-    "judged_s, verdict", [(21.0, "healthy"), (15.0, "healthy"), (12.0, "inconclusive"), (4.0, "inconclusive")]
-)
+@pytest.mark.parametrize("judged_s, verdict", [(21.0, "healthy"), (15.0, "healthy"), (12.0, "inconclusive"), (4.0, "inconclusive")])
 def test_what_was_not_judged_is_not_healthy(judged_s, verdict):
     """Beyond the blind time after a take-off, at least two thirds of a flight have to be judged."""
     end = judged_of(judged_s)
@@ -344,25 +311,12 @@ def test_what_was_not_judged_is_not_healthy(judged_s, verdict):
 
 @pytest.mark.parametrize("begins_s, start", [(0.3, "the start of the log"), (3.0, "take-off")])
 def test_a_log_that_begins_in_the_air_holds_no_take_off(begins_s, start):
-    end = conclude(
-        Evidence((), 4, hidden=np.full(4, 0.02), judged_s=25.0, hops=((begins_s, begins_s + 30.0),), blind_s=8.0)
-    )
+    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=25.0, hops=((begins_s, begins_s + 30.0),), blind_s=8.0))
     assert f"No rotor lost thrust after {start}." in end.headline and f"after {start};" in end.reason
 
 
 def test_an_event_that_any_rotor_explains_names_none():
-    event = Event(
-        "loss_of_effectiveness",
-        (1,),
-        20.0,
-        20.5,
-        None,
-        (0.2,),
-        ((0.1, 0.3),),
-        0.4,
-        ((2,), (3,), (4,)),
-        "thrust is missing",
-    )
+    event = Event("loss_of_effectiveness", (1,), 20.0, 20.5, None, (0.2,), ((0.1, 0.3),), 0.4, ((2,), (3,), (4,)), "thrust is missing")
     end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=30.0))
     assert end.verdict == "inconclusive" and "any of the rotors" in end.headline
     end = conclude(Evidence((replace(event, alternatives=((2,), (3,))),), 4, hidden=np.full(4, 0.02), judged_s=30.0))

@@ -44,11 +44,7 @@ def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=
 
 @settings(max_examples=40, deadline=None)
 @given(
-    drag=st.floats(0.0, 0.45),
-    wave=st.floats(0.1, 2.0),
-    climb=st.floats(-0.5, 0.5),
-    turn=st.floats(-15.0, 15.0),
-    loss=st.floats(0.0, 1.0),
+    drag=st.floats(0.0, 0.45), wave=st.floats(0.1, 2.0), climb=st.floats(-0.5, 0.5), turn=st.floats(-15.0, 15.0), loss=st.floats(0.0, 1.0)
 )
 def test_flying_is_no_contact(drag, wave, climb, turn, loss):
     """Drag that comes and goes with speed, climbs that were commanded, a rotor that stops, turns within what any vehicle can."""
@@ -74,8 +70,7 @@ def test_a_vehicle_whose_motors_are_cut_in_the_air_is_not_struck(turn, falls_tur
 
 
 @pytest.mark.parametrize(
-    "what, axis, size",
-    [("sideways", 0, 8.0), ("sideways", 1, -20.0), ("upwards", 0, 1.2), ("turned", 2, 60.0), ("turned", 0, 900.0)],
+    "what, axis, size", [("sideways", 0, 8.0), ("sideways", 1, -20.0), ("upwards", 0, 1.2), ("turned", 2, 60.0), ("turned", 0, 900.0)]
 )
 def test_what_rotors_cannot_make(what, axis, size):
     side, load, rate_dot = np.zeros((T, 2)), np.ones(T), np.zeros((T, 3))
@@ -175,14 +170,8 @@ def knocked(flight, time, shift=0.25, sideways=20.0):
     force[(accel.time >= time) & (accel.time < time + 0.1), 0] += sideways
     values = motors.values.copy()
     values[motors.time >= time, 0] += 150.0 * shift
-    changed = {
-        "accel": replace(accel, values=force),
-        "gyro": replace(gyro, values=rate),
-        "motors": replace(motors, values=values),
-    }
-    return replace(
-        flight, signals={k: changed.get(k, v) for k, v in flight.signals.items() if k not in ("control", "rates")}
-    )
+    changed = {"accel": replace(accel, values=force), "gyro": replace(gyro, values=rate), "motors": replace(motors, values=values)}
+    return replace(flight, signals={k: changed.get(k, v) for k, v in flight.signals.items() if k not in ("control", "rates")})
 
 
 def test_no_rotor_is_accused_on_the_after_effects_of_a_knock():
@@ -217,11 +206,7 @@ def test_an_announcement_that_a_knock_cut_short_keeps_its_size():
 
 
 @pytest.mark.skipif(not WILD.is_dir(), reason="the shared test flights are not beside the repository")
-@pytest.mark.parametrize(
-    "name", ["knock-1", "knock-2", "knock-3", "knock-scale-1", "knock-scale-2", "obstacle-scale-1", "ground-1"]
-)
+@pytest.mark.parametrize("name", ["knock-1", "knock-2", "knock-3", "knock-scale-1", "knock-scale-2", "obstacle-scale-1", "ground-1"])
 def test_knocks_in_logs_of_others(name):
     answer = diagnose(WILD / f"{name}.bin.xz")
-    assert (
-        answer.verdict != "fault" and any(e.kind == "contact" for e in answer.events)
-    ) or answer.verdict == "inconclusive"
+    assert (answer.verdict != "fault" and any(e.kind == "contact" for e in answer.events)) or answer.verdict == "inconclusive"

@@ -65,9 +65,7 @@ def test_places_count_from_the_lift_off_and_the_best_source_is_taken():
     both = flight(position=signal(time, where, "n e d"), velocity=velocity, gps=gps)
     found = context.gather(both, TICKS, AIR)
     at = np.searchsorted(TICKS, 15.0)
-    assert found["position"][at] == pytest.approx([10.0, -10.0, -20.0]) and found["ground_speed"][at] == pytest.approx(
-        5.0
-    )
+    assert found["position"][at] == pytest.approx([10.0, -10.0, -20.0]) and found["ground_speed"][at] == pytest.approx(5.0)
     unknown = np.zeros(where.shape, bool)
     lost = flight(position=signal(time, where, "n e d", unknown), gps=gps)
     found = context.gather(lost, TICKS, AIR)
@@ -124,9 +122,7 @@ def test_marks_stand_where_they_belong():
     assert time[0] >= 4.0 and time[-1] <= 58.0, "in the air"
     event = diagnosis.events[0]
     x, y = (float(v) for v in area.place(np.interp(event.onset_s, time, north), np.interp(event.onset_s, time, east)))
-    found = re.search(
-        r'class="event" style="--tint:(#\w+)"><title>([^<]*)</title><circle cx="([\d.]+)" cy="([\d.]+)"', drawn
-    )
+    found = re.search(r'class="event" style="--tint:(#\w+)"><title>([^<]*)</title><circle cx="([\d.]+)" cy="([\d.]+)"', drawn)
     assert found[1] == colours.of_event(event) and found[2].startswith("1: ") and "31.20 s" in found[2]
     assert (float(found[3]), float(found[4])) == (pytest.approx(x, abs=0.8), pytest.approx(y, abs=0.8))
     bar = re.search(r'class="scale"><path d="M14 [\d.]+v5h([\d.]+)v-5"/><text[^>]*>(\d+) m<', drawn)
@@ -191,9 +187,7 @@ def test_lanes_and_lines_are_there_only_where_logged():
 def test_the_fold_is_closed_and_stands_below_the_answer():
     text = html.page(hexa_diagnosis())
     assert '<details class="context" id="context"><summary>' in text, "closed"
-    assert text.index('id="plot-loss"') < text.index('id="context"') and text.index("<h2>Events</h2>") < text.index(
-        'id="context"'
-    )
+    assert text.index('id="plot-loss"') < text.index('id="context"') and text.index("<h2>Events</h2>") < text.index('id="context"')
 
 
 def test_a_summary_in_words():
@@ -206,9 +200,7 @@ def test_a_summary_in_words():
 
 def test_the_series_are_in_the_table_of_a_trace():
     table = hexa_trace().to_pandas()
-    assert table["position_down"].min() == pytest.approx(-12.0) and table["battery_voltage"].iloc[0] == pytest.approx(
-        16.6
-    )
+    assert table["position_down"].min() == pytest.approx(-12.0) and table["battery_voltage"].iloc[0] == pytest.approx(16.6)
     assert {"ground_speed", "vibration_z", "position_north", "battery_current"} <= set(table.columns)
     assert "ground_speed" not in replace(hexa_trace(), **BARE).to_pandas().columns
 

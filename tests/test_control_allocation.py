@@ -43,12 +43,7 @@ def compiled():
     return get
 
 
-ORACLE = [
-    (QUAD, "estimate", 250),
-    (HEXA, "bounds", 400),
-    ("ardupilot-dodecahexa-x", "estimate", 250),
-    (QUAD, "posterior", 100),
-]
+ORACLE = [(QUAD, "estimate", 250), (HEXA, "bounds", 400), ("ardupilot-dodecahexa-x", "estimate", 250), (QUAD, "posterior", 100)]
 
 
 @pytest.fixture(scope="module")

@@ -113,19 +113,14 @@ def test_two_neighbours_gone_cannot_be_held(quad):
 def test_c_says_what_python_says(quad, tmp_path):
     control = SpinningHover(Airframe.of(quad), dead(quad, 0), DT)
     inputs = (Field("omega", "f", (3,)), Field("down", "f", (3,)), Field("lift", "f", ()))
-    program = emit_program(
-        "spin", lambda _, carry, *given: control.step(carry, *given), lambda _: control.init(), inputs
-    )
+    program = emit_program("spin", lambda _, carry, *given: control.step(carry, *given), lambda _: control.init(), inputs)
     library, rng = exporting.library(program, tmp_path), np.random.default_rng(0)
     state, out = np.zeros((), exporting.struct(program.state)), np.zeros((), exporting.struct(program.out))
     room = exporting.room(program)
     library.spin_init(exporting.address(state), exporting.address(room))
     known, step = control.init(), jax.jit(control.step)
     for _ in range(50):
-        omega, down = (
-            control.hover.omega + 0.5 * rng.standard_normal(3),
-            control.hover.down + 0.05 * rng.standard_normal(3),
-        )
+        omega, down = (control.hover.omega + 0.5 * rng.standard_normal(3), control.hover.down + 0.05 * rng.standard_normal(3))
         lift = np.array(rng.uniform(0.8, 1.2))
         library.spin_step(
             *(exporting.address(a) for a in (state, omega, down)), ctypes.c_double(lift),

@@ -72,11 +72,7 @@ def test_a_log_damaged_inside_its_framing(name):
 @pytest.mark.parametrize(
     "name, verdict, says",
     [
-        (
-            "gyro_in_degrees",
-            "inconclusive",
-            "the gyro turns 57.8 times as fast as the attitude: it seems to be in degrees/s",
-        ),
+        ("gyro_in_degrees", "inconclusive", "the gyro turns 57.8 times as fast as the attitude: it seems to be in degrees/s"),
         ("outputs_held_3s", "inconclusive", "all outputs repeat from 74.6 to 77.5 s"),
     ],
 )
@@ -243,9 +239,7 @@ def test_check_sums_of_a_telemetry_log_are_made_right():
     if not TLOG.exists():
         pytest.skip("the flight logs for tests are not here (../shared/flights)")
     data = lzma.open(TLOG).read()[:200_000]
-    damaged = framed_damage.damaged(
-        data, framed_damage.records(data, "a.tlog"), "bit flips", 0.2, np.random.default_rng(1)
-    )
+    damaged = framed_damage.damaged(data, framed_damage.records(data, "a.tlog"), "bit flips", 0.2, np.random.default_rng(1))
     layouts = mavlink_messages.by_id()
     for bytes_ in (data, damaged):
         frames = mavlink_frames.Frames(bytes_, layouts)
@@ -277,9 +271,7 @@ def test_what_an_answer_to_a_damaged_log_is_worth():
 def test_a_small_study_makes_nothing_up(which, ulog):
     path = SAMPLE if which == "bin" else ulog
     table, failures = fuzzing.framed(path, copies=3, seed=4)
-    assert failures == [] and {kind: sum(row.values()) for kind, row in table.items()} == dict.fromkeys(
-        fuzzing.KINDS, 3
-    )
+    assert failures == [] and {kind: sum(row.values()) for kind, row in table.items()} == dict.fromkeys(fuzzing.KINDS, 3)
     assert sum(row["same"] for row in table.values()) >= 12
 
 

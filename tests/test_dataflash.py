@@ -97,9 +97,7 @@ def flight_with(outputs, n=5, **parameters):
 
 def test_every_field_code():
     log = Writer()
-    values = dict(
-        b=-5, B=250, h=-300, H=65000, i=-70000, I=4_000_000_000, q=-(2**60), Q=2**63 + 1, g=0.5, f=1.25, d=np.pi
-    )
+    values = dict(b=-5, B=250, h=-300, H=65000, i=-70000, I=4_000_000_000, q=-(2**60), Q=2**63 + 1, g=0.5, f=1.25, d=np.pi)
     values |= dict(M=16, n=b"abcd", N=b"name", Z=b"text, with comma", c=-1234, C=54321, e=-123456, E=3_000_000_000)
     values |= dict(L=-353632621, a=struct.pack("<32h", *range(-16, 16)))
     assert set(values) == set(CODES) == set(STRUCT)
@@ -118,9 +116,7 @@ def test_every_field_code():
 
 def test_rotors_follow_servo_functions():
     functions = dict(SERVO2_FUNCTION=33, SERVO4_FUNCTION=34, SERVO1_FUNCTION=35, SERVO14_FUNCTION=36, SERVO3_FUNCTION=0)
-    flight = flight_with(
-        lambda k: dict(o1=1300 + k, o2=1100 + k, o4=1200 + k, o14=1400 + k), FRAME_CLASS=1, **functions
-    )
+    flight = flight_with(lambda k: dict(o1=1300 + k, o2=1100 + k, o4=1200 + k, o14=1400 + k), FRAME_CLASS=1, **functions)
     assert flight.facts["rotor_outputs"] == [2, 4, 1, 14]
     assert flight["motors"].values[2].tolist() == [1102, 1202, 1302, 1402]
     assert flight["motors"].columns == ("r1", "r2", "r3", "r4")
@@ -165,9 +161,7 @@ def with_throttle(outputs, n=60, **parameters):
 def test_outputs_with_another_function_are_no_motors():
     """Radio passed through (1) and a gripper (28): the firmware drives no rotor through them, whatever they do."""
     functions = dict.fromkeys((f"SERVO{k}_FUNCTION" for k in (1, 2, 4)), 1) | {"SERVO3_FUNCTION": 28}
-    flight = with_throttle(
-        lambda k: dict(o1=1300 + k, o2=1300 + k, o3=1300 + k, o4=1300 + k), FRAME_CLASS=1, **functions
-    )
+    flight = with_throttle(lambda k: dict(o1=1300 + k, o2=1300 + k, o3=1300 + k, o4=1300 + k), FRAME_CLASS=1, **functions)
     assert flight.rotor_count == 0 and "motors" not in flight.signals
     assert any("the motor outputs are not in this log" in w for w in flight.warnings)
 
@@ -265,9 +259,7 @@ def test_firmware_3_3_units_and_names():
     np.testing.assert_allclose(flight["battery"].values[0], [16.54, 0.55])
     assert flight["throttle"].values[0, 0] == pytest.approx(0.387)
     assert any("centidegrees" in w for w in flight.warnings) and any("raw" in w for w in flight.warnings)
-    assert [(m.kind, m.value, m.time) for m in flight.messages if m.kind == "armed"] == [
-        ("armed", 1.0, pytest.approx(2.0))
-    ]
+    assert [(m.kind, m.value, m.time) for m in flight.messages if m.kind == "armed"] == [("armed", 1.0, pytest.approx(2.0))]
     assert (flight.firmware, flight.vehicle_type) == ("APM:Copter V3.3 (d6053245)", "ArduCopter")
 
 
@@ -568,9 +560,7 @@ def test_a_good_stretch_is_found_again_behind_more_garbage_than_is_looked_at_one
     wild = 1e12 * (9 + np.arange(LOOK_BACK + 9) % 7 + 0.1 * np.arange(LOOK_BACK + 9))
     stamps = np.concatenate([wild[:lead], sound[:300], wild[lead:], sound[300:]])
     clock = make_clock(stamps)
-    good = np.concatenate(
-        [np.full(lead, False), np.full(300, True), np.full(wild.size - lead, False), np.full(300, True)]
-    )
+    good = np.concatenate([np.full(lead, False), np.full(300, True), np.full(wild.size - lead, False), np.full(300, True)])
     np.testing.assert_array_equal(clock.good, good)
     assert clock.end == pytest.approx(5.99) and clock.start_us == 100e6 and clock.jumps == ()
 
@@ -599,9 +589,7 @@ def test_small_controller_outputs_are_raw_or_not_as_the_motors_move(raw):
     for k in range(40):
         us, roll = 1_000_000 + 20_000 * k, 60.0 / 4500.0 * (-1) ** k
         # A quad's mixer makes of it half as much of the motors' 1000 us, one side up and the other down.
-        log.add(
-            "RCOU", us, *pwm(**{f"o{n}": 1500 + round(500 * roll) * (1 if n in (2, 3) else -1) for n in range(1, 5)})
-        )
+        log.add("RCOU", us, *pwm(**{f"o{n}": 1500 + round(500 * roll) * (1 if n in (2, 3) else -1) for n in range(1, 5)}))
         out = roll * (4500.0 if raw else 1.0)
         log.add("RATE", us + 10, 0.0, 0.0, out, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.4)
     control = dataflash.read(log.data, "made.bin")["control"]

@@ -94,11 +94,7 @@ def test_motors_come_from_mot_in_rotor_order_and_that_is_said():
     assert flight["motors"].source == "MOT" and flight.rotor_count == 6
     assert any("MOT" in w for w in flight.warnings)
     assert flight["motors"].rate_hz == pytest.approx(10, rel=0.02)
-    assert np.allclose(
-        flight["motors"].between(30, 40).values.mean(axis=0),
-        origin["motors"].between(30, 40).values.mean(axis=0),
-        atol=3,
-    )
+    assert np.allclose(flight["motors"].between(30, 40).values.mean(axis=0), origin["motors"].between(30, 40).values.mean(axis=0), atol=3)
     assert flight.firmware.startswith("ArduCopter V3.1.2") and flight.vehicle_type == "ArduCopter"
     assert airframes.identify(flight).name == "ardupilot-hexa-x"
 

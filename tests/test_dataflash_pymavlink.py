@@ -11,9 +11,7 @@ from rotorwatch.logs.dataflash_binary import BinaryLog
 from rotorwatch.logs.dataflash_text import TextLog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
-WANTED = set(
-    "RCOU RATE IMU IMU2 ANG ATT XKF1 NKF1 EKF1 CTUN BAT CURR MOTB ESC PARM MSG VER ERR EV MODE ARM GPS PM FMTU".split()
-)
+WANTED = set("RCOU RATE IMU IMU2 ANG ATT XKF1 NKF1 EKF1 CTUN BAT CURR MOTB ESC PARM MSG VER ERR EV MODE ARM GPS PM FMTU".split())
 LOGS = {
     "SITL": "ardupilot-sitl/quadx_healthy_hover.bin.xz",
     "3.3": "ardupilot-real-dronekit/log171.bin.xz",

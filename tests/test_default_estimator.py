@@ -23,17 +23,7 @@ from rotorwatch.engine.estimator.bank import FIRST_LOSS, GROUP
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import AIR_SHARE, LOSS_WIDTH
 from rotorwatch.engine.estimator.model_error import Memory
-from rotorwatch.engine.estimator.plant import (
-    ANSWER_S,
-    B3,
-    BUILT_SD,
-    BURST_S,
-    PER_AXIS,
-    SIDEWAYS,
-    TAU,
-    THETA,
-    YAW_GAIN,
-)
+from rotorwatch.engine.estimator.plant import ANSWER_S, B3, BUILT_SD, BURST_S, PER_AXIS, SIDEWAYS, TAU, THETA, YAW_GAIN
 from rotorwatch.engine.estimator.plausibility import torque_free
 from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.host import program
@@ -149,18 +139,7 @@ def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), ans
     mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, JUDGE))
     zeros = np.zeros((TICKS, 3))
     curve = np.full(TICKS, EXPO), np.zeros(TICKS)  # known: the tests of an unknown one are in test_thrust_curve.py
-    table = [
-        thrust,
-        zeros,
-        np.full(TICKS, n),
-        zeros,
-        zeros[:, :2],
-        np.full(TICKS, FULL),
-        *curve,
-        np.full(TICKS, np.nan),
-        mode,
-        when == 5,
-    ]
+    table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :2], np.full(TICKS, FULL), *curve, np.full(TICKS, np.nan), mode, when == 5]
     return np.column_stack(table).astype(float), y, np.ones((TICKS, 4), bool)
 
 
@@ -298,9 +277,7 @@ def test_a_born_branch_is_the_augmented_filters(quad, place):
     u, y, _ = quad.table
     off = []
     for slow in kinds:
-        mean, P = dense(
-            quad.method, u, y, quad.carries.variances, k - age, directions, shares_of(slow), k, LOSS_WIDTH**2
-        )
+        mean, P = dense(quad.method, u, y, quad.carries.variances, k - age, directions, shares_of(slow), k, LOSS_WIDTH**2)
         root = np.linalg.cholesky(np.linalg.inv(P[n_s:, n_s:])).T
         if who.size == 1:  # parts of a prior instead of the one Gaussian of the dense filter
             nu, after = in_air_that_moves_or_not(quad, k, age, slow, directions)

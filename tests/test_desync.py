@@ -94,9 +94,7 @@ def test_beginning_and_end_of_a_long_one_are_those_of_the_speed():
     ]
 
 
-@pytest.mark.parametrize(
-    "after, lasting", [(0.0, 0.03), (0.05, 0.04), (0.1, 0.03), (0.15, 0.04), (0.0, 0.5), (-0.1, 0.3), (-0.3, 0.5)]
-)
+@pytest.mark.parametrize("after, lasting", [(0.0, 0.03), (0.05, 0.04), (0.1, 0.03), (0.15, 0.04), (0.0, 0.5), (-0.1, 0.3), (-0.3, 0.5)])
 def test_from_any_part_of_a_desync_or_more_than_it_the_whole_is_found(after, lasting):
     """The matched filter may peak at a part of a desync of 200 ms; the rest of it lies on another slope of the likelihood."""
     channels = seen("long", True)
@@ -156,9 +154,7 @@ def test_a_short_or_slow_log_is_not_judged():
     assert innovation.channels(flight, vehicle, ((10.0, 15.0),)) == []
     assert innovation.channels(flight, vehicle, ()) == []
     few = {name: s.part(slice(None, None, 20)) for name, s in flight.signals.items()}
-    assert (
-        innovation.channels(type(flight)(flight.format, "Betaflight", few, LONG), vehicle, ((2.5, LONG - 2.0),)) == []
-    )
+    assert innovation.channels(type(flight)(flight.format, "Betaflight", few, LONG), vehicle, ((2.5, LONG - 2.0),)) == []
 
 
 def test_the_fit_stays_right_in_closed_loop():
@@ -185,10 +181,7 @@ def test_events_are_one_a_motor():
     assert (first.rotors, first.extra["count"], first.onset_s) == ((1,), 1, 10.0)
     assert first.reason == "motor 1 desynced once, at 10.00 s: it was commanded up and gave no thrust for 100 ms"
     assert (second.rotors, second.extra[TIMES], second.end_s) == ((3,), [12.0, 34.0], pytest.approx(34.14))
-    assert (
-        second.reason
-        == "motor 3 desynced 2 times, first at 12.00 s: it was commanded up and gave no thrust for 30 to 140 ms"
-    )
+    assert second.reason == "motor 3 desynced 2 times, first at 12.00 s: it was commanded up and gave no thrust for 30 to 140 ms"
     assert second.loss == () and second.extra["rpm"] is False
 
 
@@ -242,9 +235,7 @@ def test_the_picture_shows_the_moment_of_the_first_desync():
     long = answer("short")
     shown = json.loads(long.to_json())["picture"]
     start = long.events[0].extra[TIMES][0]
-    assert [m["what"] for m in shown["marks"]] == ["gives nothing", "works again"] and shown["marks"][0][
-        "time_s"
-    ] == start
+    assert [m["what"] for m in shown["marks"]] == ["gives nothing", "works again"] and shown["marks"][0]["time_s"] == start
     assert shown["accused"] == [1] and shown["start_s"] < start < shown["end_s"]
     time, rpm = np.array(shown["speeds"]["time_s"]), np.array(shown["speeds"]["rpm"])
     before, last = time < start - 0.05, np.argmin(np.abs(time - shown["marks"][1]["time_s"]))
@@ -253,9 +244,7 @@ def test_the_picture_shows_the_moment_of_the_first_desync():
     k = np.searchsorted(flown.time, shown["rates"]["time_s"])
     assert shown["rates"]["roll_dps"] == pytest.approx(np.degrees(flown.values[k, 0]), abs=0.06)
     plots = {**upset.plots(long), **figures.plots(long)}
-    names = {f"rate_{axis}" for axis in ("roll", "pitch", "yaw")} | {
-        f"moment_{axis}_rate" for axis in ("roll", "pitch", "yaw")
-    }
+    names = {f"rate_{axis}" for axis in ("roll", "pitch", "yaw")} | {f"moment_{axis}_rate" for axis in ("roll", "pitch", "yaw")}
     assert names | {"moment_speeds", "moment_commands"} <= set(plots)
     (line,) = (r for r in plots["moment_speeds"].renderers if r.name == "rotor 1")
     assert np.allclose(line.data_source.data["rotor1"], rpm[0] / 1000.0)

@@ -49,10 +49,7 @@ def test_an_autopilots_check_runs_on_its_own_logs_alone():
         "px4-esc-current": "PX4",
     }
     stalled = with_esc([5.0, 5.0, 5.0, 0.2])
-    assert {f["detector"] for f in detectors.detect(stalled, QUAD, ALWAYS)} == {
-        "px4-esc-current",
-        "px4-current-residual",
-    }
+    assert {f["detector"] for f in detectors.detect(stalled, QUAD, ALWAYS)} == {"px4-esc-current", "px4-current-residual"}
     assert detectors.detect(replace(stalled, autopilot="ArduPilot"), QUAD, ALWAYS) == ()
     assert detectors.detect(replace(sinking(), autopilot="PX4"), VEHICLE, ALWAYS) == ()
     said = (Message(1.5, "text", "Potential Thrust Loss (2)"),)

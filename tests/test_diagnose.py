@@ -60,10 +60,7 @@ def losses(diagnosis):
 
 def command(*arguments, code):
     done = subprocess.run(
-        [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=300,
+        [sys.executable, "-m", "rotorwatch.commands.cli", "diagnose", *map(str, arguments)], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == code, done.stderr
     assert "Traceback" not in done.stderr
@@ -129,9 +126,7 @@ def spoilt(flight, after):
         return replace(signal, values=np.where(late, size * rng.uniform(-3, 3, signal.values.shape), signal.values))
 
     return replace(
-        flight,
-        signals={k: garbage(s) for k, s in flight.signals.items()},
-        messages=tuple(m for m in flight.messages if m.time <= after),
+        flight, signals={k: garbage(s) for k, s in flight.signals.items()}, messages=tuple(m for m in flight.messages if m.time <= after)
     )
 
 
@@ -212,8 +207,7 @@ def test_blind_time_with_a_baseline_is_3_s():
     motors = healthy["motors"]
     other = motors.values + np.random.default_rng(0).normal(0.0, 2.0, motors.values.shape)
     diagnosis = diagnose(
-        healthy,
-        baseline=replace(healthy, name="other", signals=healthy.signals | {"motors": replace(motors, values=other)}),
+        healthy, baseline=replace(healthy, name="other", signals=healthy.signals | {"motors": replace(motors, values=other)})
     )
     (start, end, _), *_ = diagnosis.trace.blind
     assert 0 < end - start <= 3.0
@@ -273,11 +267,7 @@ def test_a_stuck_output_is_an_override_of_its_rotor_and_no_loss():
     motors = healthy["motors"]
     values = motors.values.copy()
     values[motors.time > 60.0, 1] = values[motors.time > 60.0, 1][0] + 40.0
-    diagnosis = diagnose(
-        replace(
-            healthy, signals={**healthy.signals, "motors": Signal(motors.time, values, motors.columns, motors.unit)}
-        )
-    )
+    diagnosis = diagnose(replace(healthy, signals={**healthy.signals, "motors": Signal(motors.time, values, motors.columns, motors.unit)}))
     overrides = [e for e in diagnosis.events if e.kind == "output_override"]
     assert [e.rotors for e in overrides] == [(2,)]
     assert 60.0 <= overrides[0].detected_s < 62.0
@@ -354,11 +344,7 @@ def test_a_flight_that_is_judged_twice_gets_the_same_answer(estimator):
     before = ready.assumptions, ready.warnings
     done = estimated(ready, estimator)
     first, again = judge(ready, done), judge(ready, done)
-    assert (first.assumptions, first.warnings, first.end.headline) == (
-        again.assumptions,
-        again.warnings,
-        again.end.headline,
-    )
+    assert (first.assumptions, first.warnings, first.end.headline) == (again.assumptions, again.warnings, again.end.headline)
     assert (ready.assumptions, ready.warnings) == before
     assert estimated(ready, estimator).assumptions == done.assumptions
 

@@ -55,9 +55,7 @@ def test_logs_of_a_folder_are_looked_for_once(folder, monkeypatch):
     real = gathering.Gathered._of
     monkeypatch.setattr(gathering.Gathered, "_of", lambda self, source: looked.append(source) or real(self, source))
     found = gathering.Found(gathering.Gathered([folder]))
-    assert {a.path for a in rotorwatch.diagnose_many(found, jobs=1)} == {str(path) for path in found} and looked == [
-        folder
-    ]
+    assert {a.path for a in rotorwatch.diagnose_many(found, jobs=1)} == {str(path) for path in found} and looked == [folder]
 
 
 def test_a_log_in_a_folder_that_cannot_be_read_is_an_error_and_not_left_out(folder):
@@ -77,10 +75,7 @@ def test_patterns_and_names_and_each_log_once(folder, monkeypatch):
     monkeypatch.chdir(folder)
     found = gathering.Gathered(["a.bin", "missing.bin", "**/*.bin", folder / "a.bin", "notes.txt"])
     # What is named is taken as it is: whoever reads it says what is wrong.
-    assert (
-        list(map(str, found)) == ["a.bin", "missing.bin", "deep/down/c.bin", "empty.bin", "notes.txt"]
-        and found.others == 0
-    )
+    assert list(map(str, found)) == ["a.bin", "missing.bin", "deep/down/c.bin", "empty.bin", "notes.txt"] and found.others == 0
     for given, says in (("*.nothing", "fits no flight log"), ("deep/none", None)):
         if says:
             with pytest.raises(ConfigError, match=says):
@@ -103,11 +98,7 @@ def test_logs_behind_addresses(folder):
         memory.pipe_file(f"/flights/{name}", DATAFLASH)
     try:
         found = gathering.Gathered(["memory://flights/", "memory://flights/*.bin", (folder / "a.bin").as_uri()])
-        assert list(found) == [
-            "memory:///flights/a.bin",
-            "memory:///flights/deep/c.ulg.xz",
-            (folder / "a.bin").as_uri(),
-        ]
+        assert list(found) == ["memory:///flights/a.bin", "memory:///flights/deep/c.ulg.xz", (folder / "a.bin").as_uri()]
         assert found.others == 1
         with gathering.fetched("memory://flights/a.bin") as here:
             assert here.name == "a.bin" and here.read_bytes() == DATAFLASH
@@ -132,9 +123,7 @@ def test_logs_on_a_web_server(folder):
         Thread(target=server.serve_forever, daemon=True).start()
         here = f"http://127.0.0.1:{server.server_port}"
         found = gathering.Gathered([f"{here}/", f"{here}/a.bin"])
-        assert list(found) == [
-            f"{here}/{n}" for n in ("a.bin", "b.bin.xz", "deep/down/c.bin", "empty.bin", "truth.csv")
-        ]
+        assert list(found) == [f"{here}/{n}" for n in ("a.bin", "b.bin.xz", "deep/down/c.bin", "empty.bin", "truth.csv")]
         with gathering.fetched(f"{here}/b.bin.xz") as copy:
             assert copy.name == "b.bin.xz" and copy.read_bytes() == (folder / "b.bin.xz").read_bytes()
         with pytest.raises(LogError, match=r"none\.bin: nothing is there"):
@@ -167,21 +156,13 @@ def test_the_table_has_the_worst_first_with_full_paths(fake, run, monkeypatch): 
     assert code == 2
     order = [tuple(line.split()[:2]) for line in out.splitlines() if ".bin" in line]
     assert order == [
-        (n.replace("broken", "error"), f"{n}.bin")
-        for n in ("broken", "crashed", "fault", "ambiguous", "inconclusive", "healthy")
+        (n.replace("broken", "error"), f"{n}.bin") for n in ("broken", "crashed", "fault", "ambiguous", "inconclusive", "healthy")
     ]
     assert f"all in {fake}/" in "".join(out.split("\n")[1:3])
     assert out.startswith("6 logs: 1 error, 1 crashed, 1 fault, 1 ambiguous, 1 inconclusive, 1 healthy")
     assert max(map(len, out.splitlines())) <= 80 and out.split().count("what") == 1 and "why" not in out.split()
     # Answers were told as they came.
-    assert [line.split()[0] for line in err.splitlines()] == [
-        "healthy",
-        "ambiguous",
-        "crashed,",
-        "fault",
-        "rotorwatch:",
-        "inconclusive",
-    ]
+    assert [line.split()[0] for line in err.splitlines()] == ["healthy", "ambiguous", "crashed,", "fault", "rotorwatch:", "inconclusive"]
     assert run("diagnose", "-q", *logs)[2] == "rotorwatch: broken.bin: not a flight log.\n"
 
 
@@ -218,9 +199,7 @@ def test_resume_does_nothing_twice(fake, run, monkeypatch):  # noqa: F811
     Path("healthy.bin").write_bytes(b"another")
     read = []
     real = rotorwatch.logs.read
-    monkeypatch.setattr(
-        rotorwatch.logs, "read", lambda path, progress=None: read.append(path.name) or real(path, progress)
-    )
+    monkeypatch.setattr(rotorwatch.logs, "read", lambda path, progress=None: read.append(path.name) or real(path, progress))
     code, _, _ = run("diagnose", *logs, "--jsonl", "-o", "part.jsonl", "--resume")
     assert code == 2 and read == ["healthy.bin", "broken.bin", "bug.bin"]
     lines = [json.loads(line) for line in Path("part.jsonl").read_text().splitlines()]
@@ -298,12 +277,7 @@ def test_pages_and_the_index_that_links_them(fake, run, plain_pages):  # noqa: F
     code, _, err = run("diagnose", *argv)
     pages = sorted(path.name for path in Path("pages").iterdir())
     assert code == 2 and "pages written to pages/index.html" in err
-    assert [re.sub(r"-[0-9a-f]{8}", "-*", name) for name in pages] == [
-        "fault-*.html",
-        "fault-*.html",
-        "healthy-*.html",
-        "index.html",
-    ]
+    assert [re.sub(r"-[0-9a-f]{8}", "-*", name) for name in pages] == ["fault-*.html", "fault-*.html", "healthy-*.html", "index.html"]
     index = Path("pages/index.html").read_text()
     assert all(f'href="{name}"' in index for name in pages[:3])
     assert index.index("broken.bin") < index.index("sub/fault.bin") < index.index("healthy.bin")
@@ -360,11 +334,7 @@ def test_when_is_utc_or_the_logs_own_clock(facts, main, says):
 def test_settings_change_with_what_answers_depend_on(tmp_path):
     (tmp_path / "v.toml").write_text("a")
     one = several.settings("default", 0.2, tmp_path / "v.toml")
-    assert (
-        one
-        == several.settings("default", 0.2, tmp_path / "v.toml")
-        != several.settings("ekf", 0.2, tmp_path / "v.toml")
-    )
+    assert one == several.settings("default", 0.2, tmp_path / "v.toml") != several.settings("ekf", 0.2, tmp_path / "v.toml")
     assert one != several.settings("default", 0.3, tmp_path / "v.toml")
     (tmp_path / "v.toml").write_text("b")
     assert one != several.settings("default", 0.2, tmp_path / "v.toml")

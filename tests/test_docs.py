@@ -80,9 +80,7 @@ def test_named_files_exist(page):
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_named_sources_exist(page):
     """`bank.py` and its like, wherever they stand, also in diagrams."""
-    sources = {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {
-        p.name for p in ROOT.glob("*.py")
-    }
+    sources = {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {p.name for p in ROOT.glob("*.py")}
     named = set(re.findall(r"(\w+\.py)\b", page.read_text())) - {"NAME.py"}
     assert named <= sources, named - sources
 
@@ -142,11 +140,7 @@ def test_every_command_has_its_question():
 
 
 def python_blocks():
-    return [
-        pytest.param(code, id=f"{name(page)}-{k}")
-        for page in PAGES
-        for k, code in enumerate(blocks(page.read_text(), "python"))
-    ]
+    return [pytest.param(code, id=f"{name(page)}-{k}") for page in PAGES for k, code in enumerate(blocks(page.read_text(), "python"))]
 
 
 @pytest.mark.parametrize("code", python_blocks())
@@ -275,16 +269,9 @@ def test_version_is_one():
 
 def test_the_list_of_places_that_use_jax_is_complete():
     source = ROOT / "src"
-    uses = re.compile(
-        r"^\s*(import jax\b|from jax\b|from rotorwatch\.base\.backend import .*\b(jax|jnp)\b)", re.MULTILINE
-    )
+    uses = re.compile(r"^\s*(import jax\b|from jax\b|from rotorwatch\.base\.backend import .*\b(jax|jnp)\b)", re.MULTILINE)
     places = (p.relative_to(source).parts for p in source.rglob("*.py") if uses.search(p.read_text()))
     found = {parts[0] if parts[0] != "rotorwatch" else parts[1].removesuffix(".py") for parts in places}
     part = (ROOT / "docs" / "architecture.md").read_text().split("### Where JAX is used")[1].split("\n## ")[0]
-    named = {
-        name
-        for line in part.splitlines()
-        if line.startswith("| `")
-        for name in re.findall(r"`(\w+)`", line.split("|")[1])
-    }
+    named = {name for line in part.splitlines() if line.startswith("| `") for name in re.findall(r"`(\w+)`", line.split("|")[1])}
     assert found == named

@@ -28,9 +28,7 @@ def test_the_drawing_of_the_comparison_has_its_dots_where_the_numbers_are():
     assert dots[0] == pytest.approx(drawing.LEFT + span, abs=0.06)  # the furthest is at the end
 
 
-@pytest.mark.parametrize(
-    "change", [{"verdict": "inconclusive"}, {"verdict": None}, {"loss": []}, {"interval": None}, {"loss": [0.1] * 4}]
-)
+@pytest.mark.parametrize("change", [{"verdict": "inconclusive"}, {"verdict": None}, {"loss": []}, {"interval": None}, {"loss": [0.1] * 4}])
 def test_a_comparison_that_says_nothing_of_every_rotor_is_not_drawn(change):
     whole = against_healthy()
     whole = replace(whole, whole_flight={**whole.whole_flight, **change})

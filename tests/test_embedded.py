@@ -15,30 +15,12 @@ from rotorwatch.export.export_diagnoser import export_diagnoser
 from rotorwatch_lab.export_c import export_c
 
 EMBEDDED = Path(__file__).resolve().parents[1] / "embedded"
-ARM = (
-    "-mcpu=cortex-m7",
-    "-mthumb",
-    "-mfloat-abi=hard",
-    "-mfpu=fpv5-d16",
-    "-std=c99",
-    "-Wall",
-    "-Wextra",
-    "-Wpedantic",
-    "-Werror",
-)
+ARM = ("-mcpu=cortex-m7", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv5-d16", "-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 # Bytes, also in double precision, where constants weigh twice as much.
 TEXT = {"ekf": 12_000, "ukf": 16_000, "tsukf": 16_000}
 STACK = 24_000
 # What ArduPilot and PX4 ask of a compiler; clang has no constants of single precision.
-AUTOPILOTS = (
-    "-Wall",
-    "-Wextra",
-    "-Werror",
-    "-Wdouble-promotion",
-    "-Wfloat-equal",
-    "-Werror=overflow",
-    "-DROTORWATCH_FLOAT",
-)
+AUTOPILOTS = ("-Wall", "-Wextra", "-Werror", "-Wdouble-promotion", "-Wfloat-equal", "-Werror=overflow", "-DROTORWATCH_FLOAT")
 # Those of PX4's, or ArduPilot's with --Werror, that come on top for C of one's own.
 ON_TOP = (
     "-O2", "-fsigned-char", "-fno-strict-aliasing", "-fno-math-errno", "-funsafe-math-optimizations", "-fno-common",
@@ -47,11 +29,7 @@ ON_TOP = (
     "-Wbad-function-cast", "-Wnested-externs", "-Wstrict-prototypes", "-Wtype-limits", "-Wswitch", "-Wparentheses",
 )  # fmt: skip
 FRAME = "-Wframe-larger-than=1300"
-CONSTANTS = {
-    "gcc": ["-fsingle-precision-constant"],
-    "clang": [],
-    "arm-none-eabi-gcc": ["-fsingle-precision-constant", *ARM[:4]],
-}
+CONSTANTS = {"gcc": ["-fsingle-precision-constant"], "clang": [], "arm-none-eabi-gcc": ["-fsingle-precision-constant", *ARM[:4]]}
 USUAL = ("ekf", "parity", "atsukf")  # products, constants beyond single precision, comparisons for equality
 
 
@@ -78,14 +56,9 @@ def test_code_is_small_and_stack_is_bounded(name, precision, tmp_path):
     export_c(name, tmp_path)
     flags = [*ARM, "-Os", "-fstack-usage", *(["-DROTORWATCH_FLOAT"] if precision == "float" else [])]
     subprocess.run([cc, *flags, "-c", f"{name}.c"], cwd=tmp_path, check=True)
-    sizes = subprocess.run(
-        ["arm-none-eabi-size", f"{name}.o"], cwd=tmp_path, capture_output=True, text=True, check=True
-    ).stdout
+    sizes = subprocess.run(["arm-none-eabi-size", f"{name}.o"], cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert int(sizes.splitlines()[1].split()[0]) < TEXT[name]
-    assert sizes.splitlines()[1].split()[1:3] == [
-        "0",
-        "0",
-    ]  # nothing that changes outside of what the caller hands over
+    assert sizes.splitlines()[1].split()[1:3] == ["0", "0"]  # nothing that changes outside of what the caller hands over
     rows = [line.split("\t") for line in (tmp_path / f"{name}.su").read_text().splitlines()]
     assert all(row[2] == "static" for row in rows)
     taken = {row[0].rpartition(":")[2]: int(row[1]) for row in rows}
@@ -99,21 +72,14 @@ def no_warning(folder, *flags):
     found = [cc for cc in CONSTANTS if shutil.which(cc)]
     for cc in found:
         more = ["-fsyntax-only"] if cc != "arm-none-eabi-gcc" or not flags else [*flags, "-c"]
-        done = subprocess.run(
-            [cc, "-std=c99", *AUTOPILOTS, *CONSTANTS[cc], *more, *files], cwd=folder, capture_output=True, text=True
-        )
+        done = subprocess.run([cc, "-std=c99", *AUTOPILOTS, *CONSTANTS[cc], *more, *files], cwd=folder, capture_output=True, text=True)
         assert done.returncode == 0 and not done.stderr, f"{cc}: {done.stderr[:2000]}"
     if not found:
         pytest.skip("no C compiler")
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough)
-        for n in discovery.estimators()
-        if n != "default"
-    ],
+    "name", [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in discovery.estimators() if n != "default"]
 )
 def test_estimators_meet_the_flags_of_both_autopilots(name, tmp_path):
     program = exported(name)
@@ -152,9 +118,7 @@ def test_a_cortex_m7_says_what_this_computer_says(project, tmp_path):
     start = [str(core / "startup.c"), "--specs=rdimon.specs", "-T", str(core / "an500.ld")]
     subprocess.run([cc, *ARM, single, "-Os", *sources, *start, "-lm", "-o", output], check=True)
     board = [machine, "-M", "mps2-an500", "-nographic", "-semihosting", "-kernel", output]
-    said = subprocess.run(
-        board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True
-    ).stdout
+    said = subprocess.run(board, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60, check=True).stdout
     here = str(tmp_path / "here")
     subprocess.run([tool("gcc"), "-std=c99", single, *sources, "-lm", "-o", here], check=True)
     expected = subprocess.run([here], capture_output=True, text=True, check=True).stdout
@@ -163,10 +127,7 @@ def test_a_cortex_m7_says_what_this_computer_says(project, tmp_path):
     assert numbers == pytest.approx(wanted, abs=2e-6)
 
 
-@pytest.mark.parametrize(
-    ("source", "flags"),
-    [("px4/RotorWatch.cpp", board.PX4_CXX), ("ardupilot/AP_RotorWatch.cpp", board.ARDUPILOT_CXX)],
-)
+@pytest.mark.parametrize(("source", "flags"), [("px4/RotorWatch.cpp", board.PX4_CXX), ("ardupilot/AP_RotorWatch.cpp", board.ARDUPILOT_CXX)])
 def test_autopilots_skeletons_compile(source, flags, project):
     stubs = board.STUBS / source.partition("/")[0]
     command = [tool("g++"), *flags, f"-I{project}", f"-I{stubs}", "-fsyntax-only", str(EMBEDDED / source)]

@@ -38,12 +38,7 @@ def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0):
     ])  # fmt: skip
     gains = np.array([0.005 * n, 0.005 * n, 0.13 * n])
     y = thrust @ B.T - np.column_stack([np.zeros((ticks, 3)), thrust.sum(axis=1) - load])
-    y = (
-        y
-        + (thrust * loss) @ B.T
-        + np.column_stack([turn * gains, np.zeros(ticks)])
-        + 0.02 * rng.normal(size=(ticks, 4))
-    )
+    y = y + (thrust * loss) @ B.T + np.column_stack([turn * gains, np.zeros(ticks)]) + 0.02 * rng.normal(size=(ticks, 4))
     y[when >= PUSHED] += [0.2, 0.0, 0.0, 0.1]
     return u, y, rng.random((ticks, 4)) > 0.02
 
@@ -51,13 +46,7 @@ def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0):
 @pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     "frame, dt",
-    [
-        ("ardupilot-quad-x", 0.05),
-        ("ardupilot-y6", 0.1),
-        ("ardupilot-hexa-x", 0.05),
-        ("ardupilot-tri", 0.2),
-        ("ardupilot-octaquad-x", 0.05),
-    ],
+    [("ardupilot-quad-x", 0.05), ("ardupilot-y6", 0.1), ("ardupilot-hexa-x", 0.05), ("ardupilot-tri", 0.2), ("ardupilot-octaquad-x", 0.05)],
 )
 def test_python_and_machine_code_give_the_same_bits(frame, dt):
     """Every output, and what has been learned, through an announcement."""
@@ -87,9 +76,7 @@ def test_ticks_may_come_piece_by_piece():
     cuts = [0, 1, 7, 150, 151, 300]
     parts = [steps.run(*(column[a:b] for column in table)) for a, b in itertools.pairwise(cuts)]
     for name in whole._fields:
-        np.testing.assert_array_equal(
-            np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name), err_msg=name
-        )
+        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name), err_msg=name)
 
 
 def test_a_raised_threshold_announces_no_more():

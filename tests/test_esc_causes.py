@@ -64,9 +64,7 @@ def notices(found):
 
 @pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("autopilot, frame", [("ardupilot", "quad-x"), ("px4", "hexa-x")])
-@pytest.mark.parametrize(
-    "what, cause", [("propeller", "propeller"), ("chipped", "propeller"), ("motor", "motor_or_esc")]
-)
+@pytest.mark.parametrize("what, cause", [("propeller", "propeller"), ("chipped", "propeller"), ("motor", "motor_or_esc")])
 def test_the_cause_of_a_loss(what, cause, autopilot, frame):
     (event,) = losses(answer(what, autopilot, frame))
     assert event.rotors == (2,) and event.extra["cause"] == cause
@@ -296,9 +294,7 @@ def test_the_study_counts_answers():
     assert found == {"propeller": "propeller", "motor": "motor or ESC"}
     assert esc_causes.answer(answer("healthy"), None) == "nothing"
     assert esc_causes.answer(answer("small", "ardupilot", "hexa-x", 6.0), 2) == "slow"
-    assert "| healthy |" in esc_causes.markdown(
-        {cause: {a: 1 for a in esc_causes.ANSWERS} for cause in esc_causes.KINDS}
-    )
+    assert "| healthy |" in esc_causes.markdown({cause: {a: 1 for a in esc_causes.ANSWERS} for cause in esc_causes.KINDS})
 
 
 def test_signals_without_columns_of_a_quantity():

@@ -42,13 +42,7 @@ def test_what_is_common_to_all_does_not_count_and_what_is_one_rotors_does():
     assert change[2] == pytest.approx(-0.1, abs=0.01) and np.abs(np.delete(change, 2)).max() < 0.05
 
 
-@given(
-    S=st.floats(0.0, 1.3),
-    D=st.floats(-2.0, 2.0) | st.none(),
-    theta=LOSSES,
-    sd=st.floats(0.001, 0.2),
-    load=st.floats(0.1, 4.0),
-)
+@given(S=st.floats(0.0, 1.3), D=st.floats(-2.0, 2.0) | st.none(), theta=LOSSES, sd=st.floats(0.001, 0.2), load=st.floats(0.1, 4.0))
 @settings(max_examples=trials(200), deadline=None)
 def test_probabilities_are_probabilities(S, D, theta, sd, load):
     share = ratios.causes(ratios.Measured((S, 0.02), None if D is None else (D, 0.05), load, 20), theta, sd)

@@ -67,11 +67,7 @@ def test_dataflash_of_every_age(age):
 
 def test_dataflash_with_a_message_for_each_esc():
     definitions = [(f"ESC{n}", "QeCCcH", "TimeUS,RPM,Volt,Curr,Temp,CTot") for n in range(1, 5)]
-    check(
-        quad(
-            definitions, lambda k: [(f"ESC{i + 1}", 100 * (6000 + i), 1550, 400 + 100 * i, 4250, 7) for i in range(4)]
-        )["esc"]
-    )
+    check(quad(definitions, lambda k: [(f"ESC{i + 1}", 100 * (6000 + i), 1550, 400 + 100 * i, 4250, 7) for i in range(4)])["esc"])
 
 
 def test_escs_that_are_counted_apart_from_the_outputs_are_taken_in_order():
@@ -83,10 +79,7 @@ def test_escs_that_are_counted_apart_from_the_outputs_are_taken_in_order():
 
 def test_a_speed_that_the_esc_does_not_know_is_invalid():
     unknown = (np.nan, np.nan, 15.5, 4.0, 4250, 0.0, 0, 0.0)
-    esc = quad(
-        [ESC_OF_EACH_AGE["4.2"]],
-        lambda k: [("ESC", i, *(unknown if i == 1 else values_of("4.2", i))) for i in range(4)],
-    )["esc"]
+    esc = quad([ESC_OF_EACH_AGE["4.2"]], lambda k: [("ESC", i, *(unknown if i == 1 else values_of("4.2", i))) for i in range(4)])["esc"]
     assert not esc.valid[:, 1].any() and esc.valid[:, [0, 2, 3, 5]].all() and np.isfinite(esc.values).all()
 
 
@@ -158,15 +151,7 @@ def frame(layout, *fields):
 
 def test_the_seeds_of_check_sums_follow_from_the_definitions():
     """https://mavlink.io/en/guide/serialization.html: the check sum of name and fields in wire order, folded."""
-    kinds = {
-        "Q": "uint64_t",
-        "I": "uint32_t",
-        "i": "int32_t",
-        "H": "uint16_t",
-        "h": "int16_t",
-        "f": "float",
-        "B": "uint8_t",
-    }
+    kinds = {"Q": "uint64_t", "I": "uint32_t", "i": "int32_t", "H": "uint16_t", "h": "int16_t", "f": "float", "B": "uint8_t"}
     for layout in (INFO, STATUS):
         text = f"{layout.name} ".encode()
         for name, (count, code) in zip(layout.fields, re.findall(r"(\d*)([A-Za-z])", layout.form), strict=True):

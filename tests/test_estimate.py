@@ -56,12 +56,7 @@ def test_series_are_those_of_the_estimator_run_by_hand(found):
     hop = log_plant.hops(ready.table, ready.vehicle.effectiveness())[0]
     _, out = run(published.method("ekf", hop.system, hop.dt), hop.u, hop.y, hop.valid)
     series, rows = found["ekf"], slice(0, len(hop.rows))
-    for mine, its in (
-        (series.theta, out.theta),
-        (series.theta_cov, out.theta_cov),
-        (series.x, out.x),
-        (series.innovation, out.innovation),
-    ):
+    for mine, its in ((series.theta, out.theta), (series.theta_cov, out.theta_cov), (series.x, out.x), (series.innovation, out.innovation)):
         assert np.allclose(mine[rows], its, rtol=1e-6, atol=1e-9)
     assert np.array_equal(series.time[rows], ready.table.time[hop.rows])
     sd = np.sqrt(np.diagonal(out.theta_cov, axis1=1, axis2=2))
@@ -104,9 +99,7 @@ def test_a_page_and_a_picture_show_every_method_beside_the_truth(found, tmp_path
     assert all(f"{name} on rate dynamics" in page for name in NAMES) and "holds the truth in" in page
     assert "other: it does not fit" in page.lower() and "http" not in page.split("<main")[1].split("<footer")[0]
     assert picture.startswith("<?xml") and (tmp_path / "e.png").read_bytes()[:4] == b"\x89PNG"
-    shaded = method_plots.drawn(made(), a_range(), {f"loss_{k}": ("#000000", "solid") for k in range(1, 5)}, (-10, 60))[
-        "loss"
-    ]
+    shaded = method_plots.drawn(made(), a_range(), {f"loss_{k}": ("#000000", "solid") for k in range(1, 5)}, (-10, 60))["loss"]
     data = shaded.renderers[0].data_source.data
     assert np.allclose(data["t0_high"] - data["t0_low"], 200 * 1.96 * 0.2, rtol=1e-5)
 
@@ -135,16 +128,10 @@ def test_coverage_counts_steps_in_which_the_interval_holds_the_truth():
 def test_truth_files(tmp_path):
     simulated, listed = tmp_path / "a.truth.csv", tmp_path / "list.csv"
     simulated.write_text("time_s,north,loss_1,loss_2\n0,0,0,0\n1,0,0,0.4\n")
-    listed.write_text(
-        "path,faulty_rotors,thrust_loss,start_s,end_s,faults\nx/a.bin.xz,2,0.4,10,20,2:0.3:10:15;2:0.4:15:20\nb.bin,,0,,,\n"
-    )
+    listed.write_text("path,faulty_rotors,thrust_loss,start_s,end_s,faults\nx/a.bin.xz,2,0.4,10,20,2:0.3:10:15;2:0.4:15:20\nb.bin,,0,,,\n")
     assert read_truth(simulated, "a.bin")["loss_2"][1].tolist() == [0.0, 0.4]
     assert read_truth(listed, "a.bin")["loss_2"][0].tolist() == [10.0, 15.0, 20.0] and read_truth(listed, "b.bin") == {}
-    for text, says in (
-        ("path\n", "needs the columns"),
-        ("time_s,loss_1\n0,x\n", "no number"),
-        (listed.read_text(), "no line for c.bin"),
-    ):
+    for text, says in (("path\n", "needs the columns"), ("time_s,loss_1\n0,x\n", "no number"), (listed.read_text(), "no line for c.bin")):
         (tmp_path / "t.csv").write_text(text)
         with pytest.raises(ConfigError, match=says):
             read_truth(tmp_path / "t.csv", "c.bin")
@@ -179,11 +166,7 @@ def test_what_is_wrong_is_one_sentence(arguments, says):
 
 def test_a_log_without_a_flight_is_refused():
     t = np.arange(0.0, 20.0, 0.02)
-    still = {
-        "time_s": t,
-        **{f"motor_{k}": np.zeros(len(t)) for k in range(1, 5)},
-        **{f"gyro_{a}_rad_s": 0 * t for a in "xyz"},
-    }
+    still = {"time_s": t, **{f"motor_{k}": np.zeros(len(t)) for k in range(1, 5)}, **{f"gyro_{a}_rad_s": 0 * t for a in "xyz"}}
     with pytest.raises(LogError, match="never in the air"):
         rw.estimate(memory.from_arrays(still, parameters={"MAV_TYPE": 2}, autopilot="PX4"), "ekf")
 
@@ -191,11 +174,7 @@ def test_a_log_without_a_flight_is_refused():
 def test_diagnose_names_the_method_and_shows_its_own_estimate():
     found = rw.diagnose(FAULTY, estimator="ekf")
     event = found.events[found.main]
-    assert (
-        found.headline.startswith("ekf: ")
-        and "ekf itself estimated" in found.headline
-        and "by its covariance" in found.headline
-    )
+    assert found.headline.startswith("ekf: ") and "ekf itself estimated" in found.headline and "by its covariance" in found.headline
     low, high = event.extra["own_interval"][0]
     row = found.own.at(event.extra["own_at_s"])
     assert found.own.lower[row, event.rotors[0] - 1] == low and found.own.upper[row, event.rotors[0] - 1] == high
@@ -223,16 +202,9 @@ def numbered():
     B = ready.vehicle.effectiveness()
     J = np.diag(log_plant.hops(ready.table, B)[0].parameters["J"])
     mass, n = 2.0, B.shape[1]
-    reach = max(np.hypot(r.x, r.y) for r in ready.vehicle.rotors) / max(
-        max(abs(r.x), abs(r.y)) for r in ready.vehicle.rotors
-    )
+    reach = max(np.hypot(r.x, r.y) for r in ready.vehicle.rotors) / max(max(abs(r.x), abs(r.y)) for r in ready.vehicle.rotors)
     yaw = log_plant.hops(ready.table, B)[0].parameters["B_tau"][2, 0] / B[2, 0]
-    extra = {
-        "mass_kg": mass,
-        "arm_m": 0.3 * reach,
-        "drag_ratio_m": 0.3 * yaw,
-        "inertia_kg_m2": list(0.3 * mass * G0 / n * J),
-    }
+    extra = {"mass_kg": mass, "arm_m": 0.3 * reach, "drag_ratio_m": 0.3 * yaw, "inertia_kg_m2": list(0.3 * mass * G0 / n * J)}
     return replace(ready.vehicle, extra=extra)
 
 
@@ -246,9 +218,7 @@ def test_the_papers_plants_turn_as_the_logs_plant_does():
     known, seen = paper_log.numbers(numbered()), paper_log._seen(ready.flight, hop, ready.table.time[hop.rows])
     u, theta = np.array([1.1, 0.9, 1.0, 1.05, 0.95, 1.02]), np.array([0.0, 0.3, 0.0, 0.0, 0.1, 0.0])
     turn, f_z = hop.system.derivative(np.zeros(3), u, theta), hop.system.h(np.zeros(3), u, theta)[3]
-    rates, attitude, hover, body = (
-        paper_log.PLANTS[name](known, hop, seen)[0] for name in ("mhe", "axkf", "intermediate", "tsukf")
-    )
+    rates, attitude, hover, body = (paper_log.PLANTS[name](known, hop, seen)[0] for name in ("mhe", "axkf", "intermediate", "tsukf"))
     assert np.allclose(rates.derivative(np.zeros(3), u, theta), turn, rtol=1e-9)
     assert np.allclose(np.asarray(attitude.derivative(np.zeros(6), u, theta))[3:] / known.J, turn, rtol=1e-9)
     assert np.allclose(hover.B @ (u * (1 - theta)), [*turn, f_z], rtol=1e-9)
@@ -300,10 +270,7 @@ def test_an_airframe_file_of_ones_own(tmp_path):
     text = (Path(rw.__file__).parent / "airframes/papers/ruav-40kg.toml").read_text()
     file.write_text(text)
     assert helicopter_log.method("ekf", str(file), 0.02).system.m == 40.0
-    for old, new, says in (
-        ("mass = ", "weight = ", "airframe lacks mass"),
-        ("hub_stiffness = ", 'hub_stiffness = "soft" #', "no number"),
-    ):
+    for old, new, says in (("mass = ", "weight = ", "airframe lacks mass"), ("hub_stiffness = ", 'hub_stiffness = "soft" #', "no number")):
         file.write_text(text.replace(old, new, 1))
         with pytest.raises(ConfigError, match=says):
             helicopter_log.method("ekf", str(file), 0.02)

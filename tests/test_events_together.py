@@ -88,9 +88,7 @@ def test_a_contact_on_the_ground_is_none():
 
 def test_a_contact_that_turns_out_larger_is_one_contact():
     report = flown(10.5, ((2.0, np.inf),), contacts=[10.0])
-    more = SimpleNamespace(
-        time=np.arange(10.5, 12.0, DT), upset=np.zeros(30, bool), dt=DT, contacts=(Contact(10.0, 7.0, 0),)
-    )
+    more = SimpleNamespace(time=np.arange(10.5, 12.0, DT), upset=np.zeros(30, bool), dt=DT, contacts=(Contact(10.0, 7.0, 0),))
     (event,) = report.add(more, ((2.0, np.inf),)).events((), ())
     assert event.extra["size"] == 7.0
 
@@ -158,17 +156,10 @@ def test_a_loss_that_lasts_is_the_same_one_when_it_is_looked_at_again():
     assert said(changes, [moved, turned]) == [(1, "changed", moved)]
     other = loss(26.0, detected=120.0, rotors=(2,))
     again = replace(other, onset_s=60.0, detected_s=150.0)
-    assert said(changes, [other, turned])[0][:2] == (1, "changed") and said(changes, [again])[1] == (
-        1,
-        "changed",
-        again,
-    )
+    assert said(changes, [other, turned])[0][:2] == (1, "changed") and said(changes, [again])[1] == (1, "changed", again)
     ended = replace(again, end_s=155.0)
     assert said(changes, [ended]) == [(1, "changed", ended)]
-    assert [what for _, what, _ in said(changes, [loss(170.0, rotors=(2,), detected=171.0)])] == [
-        "withdrawn",
-        "announced",
-    ]
+    assert [what for _, what, _ in said(changes, [loss(170.0, rotors=(2,), detected=171.0)])] == ["withdrawn", "announced"]
 
 
 def test_in_the_end_any_difference_is_told():

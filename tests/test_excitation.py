@@ -104,9 +104,7 @@ def test_its_information_is_that_of_the_commands_it_makes(hexa):
     # Independently of the design's own algebra: commands at a hundred times the ticks' rate, through lag and means, to wrenches.
     signal, dt, fine, lag = hexa.signal, 0.05, 0.0005, 0.03
     t = np.arange(0.0, float(signal.length), fine) + fine / 2.0
-    first, second = (
-        np.array([float(v) for v in w]) for w in excitation._waves(t, float(signal.period), float(signal.length))
-    )
+    first, second = (np.array([float(v) for v in w]) for w in excitation._waves(t, float(signal.period), float(signal.length)))
     passed = []
     for wave, f in ((first, 1.0), (second, excitation.FASTER)):
         passed.append(wave / np.sqrt(1.0 + (2.0 * np.pi * f / float(signal.period) * lag) ** 2))

@@ -89,9 +89,7 @@ def test_a_loss_since_the_flight_began_changes_trim_and_an_older_one_does_not():
 
 
 def test_candidates_lack_the_same_in_hover():
-    event = Event(
-        "loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6))
-    )
+    event = Event("loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6)))
     found = excitation_response.candidates(event, B)
     for losses in found.values():
         assert B @ losses == pytest.approx(B @ found[(0, 1)], abs=1e-9)
@@ -110,9 +108,7 @@ def test_the_information_of_ticks_finds_the_losses_and_the_lag():
     model = excitation_response._Model(e, np.zeros(6), 0.0, noise)
     table = type("Table", (), {"time": time, "dt": dt})
     one = excitation_response._response(np.arange(2, T), (0.0, 5.0), q, model, table, B)
-    best = [
-        excitation_response._gaussian(J, z, np.zeros(6), np.full(6, 0.3))[0] for J, z in zip(one.J, one.z, strict=True)
-    ]
+    best = [excitation_response._gaussian(J, z, np.zeros(6), np.full(6, 0.3))[0] for J, z in zip(one.J, one.z, strict=True)]
     assert excitation_response.DELAYS_S[int(np.argmax(best))] == delay
     found = excitation_response.shares([one], NAMED, 6)
     assert next(iter(found)) == (0, 1)
@@ -168,9 +164,7 @@ def test_a_rotor_is_suspected_where_it_leaves_no_more_than_four_sd_of_trim_unexp
 def test_a_loss_that_needs_no_asking_stays_and_those_after_it_are_asked_for(monkeypatch):
     """One that ended before the excitation is what it was; the ambiguous one after it is resolved."""
     over = Event("loss_of_effectiveness", (3,), 8.0, 9.0, 12.0, (0.3,), ((0.2, 0.4),), 0.99)
-    event = Event(
-        "loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6))
-    )
+    event = Event("loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6)))
     one = told(np.where(np.isin(np.arange(6), (2, 3)), 0.3, 0.0))
     monkeypatch.setattr(excitation_response, "find", lambda *_: ((one,), None, ()))
     events, _ = excitation_response.resolve((over, event), None, B)
@@ -179,18 +173,8 @@ def test_a_loss_that_needs_no_asking_stays_and_those_after_it_are_asked_for(monk
 
 def scenario(who, loss, wind=1.0):
     base = excitation_flights.draw(3, "hexa-x", 7)
-    fault = {
-        "kind": "loss",
-        "strength": loss,
-        "onset_s": excitation_flights.ONSET_S,
-        "end_s": None,
-        "ramp_s": 0.0,
-        "period_s": None,
-    }
-    rows = tuple(
-        {**fault, "rotor": r, "level": None, "duty": 0.5, "vibration": 6.0, "times": 4.0, "angle_deg": None}
-        for r in who
-    )
+    fault = {"kind": "loss", "strength": loss, "onset_s": excitation_flights.ONSET_S, "end_s": None, "ramp_s": 0.0, "period_s": None}
+    rows = tuple({**fault, "rotor": r, "level": None, "duty": 0.5, "vibration": 6.0, "times": 4.0, "angle_deg": None} for r in who)
     return replace(base, faults=rows, wind={**base.wind, "speed_m_s": wind})
 
 

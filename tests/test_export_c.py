@@ -269,15 +269,7 @@ def project(tmp_path_factory):
 
 def test_the_header_says_names_units_version_and_definition(project):
     text = (project.folder / "ekf.h").read_text()
-    for part in (
-        "thrust_1",
-        "thrust_6",
-        "p, q, r [rad/s], f_z [m/s^2]",
-        "loss_6",
-        "0 ok, 1 not ready",
-        rw.__version__,
-        project.digest,
-    ):
+    for part in ("thrust_1", "thrust_6", "p, q, r [rad/s], f_z [m/s^2]", "loss_6", "0 ok, 1 not ready", rw.__version__, project.digest):
         assert part in text
     assert "rw_real dt" in text and "malloc" not in (project.folder / "ekf.c").read_text()
 
@@ -291,12 +283,8 @@ def test_the_example_builds_without_a_warning_and_runs(project, cc, tmp_path):
     main.write_text((project.folder / "example.c").read_text())
     c_compiler = "gcc" if cc == "g++" else cc
     include = f"-I{project.folder}"
-    subprocess.run(
-        [c_compiler, *STRICT, "-O2", "-c", "-o", str(tmp_path / "m.o"), str(project.folder / "ekf.c")], check=True
-    )
-    subprocess.run(
-        [cc, *flags, include, "-o", str(tmp_path / "m"), str(main), str(tmp_path / "m.o"), "-lm"], check=True
-    )
+    subprocess.run([c_compiler, *STRICT, "-O2", "-c", "-o", str(tmp_path / "m.o"), str(project.folder / "ekf.c")], check=True)
+    subprocess.run([cc, *flags, include, "-o", str(tmp_path / "m"), str(main), str(tmp_path / "m.o"), "-lm"], check=True)
     said = subprocess.run([str(tmp_path / "m")], capture_output=True, text=True, check=True).stdout
     numbers = [float(word) for word in said.split()[3:]]
     assert said.startswith("status 0") and len(numbers) == 6 and max(map(abs, numbers)) < 0.01
@@ -310,12 +298,7 @@ def test_the_same_estimator_has_the_same_definition(project, tmp_path):
 def test_the_command_line(tmp_path):
     done = CliRunner().invoke(cli, ["export-c", "--estimator", "default", "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {
-        "default.c",
-        "default.h",
-        "example.c",
-        "CMakeLists.txt",
-    }
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"default.c", "default.h", "example.c", "CMakeLists.txt"}
 
 
 @pytest.mark.parametrize(

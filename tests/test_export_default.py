@@ -28,18 +28,7 @@ def project(tmp_path_factory):
 def told(project, folder, real, *flags):
     """What the library says of a flight: a column for each output."""
     goal = folder / "mine.so"
-    command = [
-        compilers()[0],
-        *STRICT,
-        *flags,
-        "-O2",
-        "-fPIC",
-        "-shared",
-        "-o",
-        str(goal),
-        str(project.folder / "mine.c"),
-        "-lm",
-    ]
+    command = [compilers()[0], *STRICT, *flags, "-O2", "-fPIC", "-shared", "-o", str(goal), str(project.folder / "mine.c"), "-lm"]
     subprocess.run(command, check=True)
     library, fields = ctypes.CDLL(str(goal)), []
     kinds = {"real": real, "int": np.int32, "flag": np.bool_}
@@ -84,11 +73,6 @@ def test_the_example_builds_without_a_warning_and_runs(project, tmp_path):
 
 def test_the_header_says_what_goes_in_and_of_which_definition_it_is(project):
     header, source = ((project.folder / f"mine.{end}").read_text() for end in "hc")
-    for text in (
-        "thrust_1 to thrust_6",
-        "p_dot, q_dot, r_dot [rad/s^2]",
-        project.digest,
-        "mine_init(mine_state *state)",
-    ):
+    for text in ("thrust_1 to thrust_6", "p_dot, q_dot, r_dot [rad/s^2]", project.digest, "mine_init(mine_state *state)"):
         assert text in header
     assert "malloc" not in source and "rw_" not in header.replace("rw_real", "").replace("rw_time", "")

@@ -21,11 +21,7 @@ NAMES = [name for name in discovery.estimators() if name != "default"]  # of tha
 FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
 ROWS = {"mhe": 300, "esmf": 300, "aesmf": 300, "ekf": 5_000}
 USUAL_ROWS, MANY_ROWS = 1_000, 100_000
-CHUNK = {
-    "mhe": 1_000,
-    "esmf": 5_000,
-    "aesmf": 5_000,
-}  # rows of one flight, whose carries fit the memory
+CHUNK = {"mhe": 1_000, "esmf": 5_000, "aesmf": 5_000}  # rows of one flight, whose carries fit the memory
 # Single precision: largest difference of losses over a flight, in losses, and of the covariance, relative.
 FLOAT_LOSS, FLOAT_FLIGHT = 1e-4, 400
 FLOAT = ("ekf", "adaptive_ekf", "lyapunov", "ukf", "tsukf")
@@ -38,10 +34,7 @@ pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 USUAL = ("aesmf", "atsukf", "intermediate", "mhe", "imm")
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in NAMES if FULL or n != "esmf"],
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in NAMES if FULL or n != "esmf"])
 def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
     program = exported(name)
     lib = library(program, tmp_path, "-O1" if FULL or name in FLOAT else "-O0")
@@ -56,9 +49,7 @@ def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
 
 def forgetful(packed):
     """Storage that is given away as soon as it is written."""
-    return lambda self, kind, blocks: packed(
-        self, kind, [(size, begin, begin, node) for size, begin, _, node in blocks]
-    )
+    return lambda self, kind, blocks: packed(self, kind, [(size, begin, begin, node) for size, begin, _, node in blocks])
 
 
 @pytest.mark.parametrize("fault", ["sign", "storage", "order"])
@@ -99,9 +90,7 @@ def test_single_precision_is_close(name, tmp_path):
     gap = np.abs(single["theta"] - double["theta"]).max()
     assert gap < FLOAT_LOSS, gap
     assert np.array_equal(single["status"], double["status"])
-    called = subprocess.run(
-        ["nm", "-u", str(tmp_path / "s" / f"{program.name}.so")], capture_output=True, text=True
-    ).stdout
+    called = subprocess.run(["nm", "-u", str(tmp_path / "s" / f"{program.name}.so")], capture_output=True, text=True).stdout
     assert not re.search(r"\b(sqrt|exp|log|cos|acos|cbrt|pow|fmod)(@|$)", called, re.MULTILINE), called
 
 

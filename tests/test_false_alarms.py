@@ -67,9 +67,7 @@ def test_surrogates_look_like_the_flight(origin):
         assert np.all(ours < 2.0 * real) and np.all(ours > 0.5 * real)  # thrust: mostly one slow sag
     # Side forces keep what they have to do with the torque that they make.
     together = [np.corrcoef(t.side[t.mode == JUDGE, 0], t.wrench[t.mode == JUDGE, 1])[0, 1] for t in made]
-    assert np.mean(together) == pytest.approx(
-        np.corrcoef(table.side[judged, 0], table.wrench[judged, 1])[0, 1], abs=0.35
-    )
+    assert np.mean(together) == pytest.approx(np.corrcoef(table.side[judged, 0], table.wrench[judged, 1])[0, 1], abs=0.35)
     assert np.mean([t.load.mean() for t in made]) == pytest.approx(table.load[judged].mean(), abs=0.01)
 
 

@@ -134,9 +134,7 @@ def test_what_says_nothing_leaves_everything_open():
     for rule in (LeastSquares(6, 0.3), Sparse(6, 6)):
         got = rule(rule.init(), ring(6), np.ones(4), np.zeros(4), 0.01)[1]
         assert (np.asarray(got.theta) == 0).all()
-    np.testing.assert_allclose(
-        LeastSquares(6, 0.3)((), ring(6), np.ones(4), np.zeros(4), 0.0)[1].spread, 0.09 * np.eye(6)
-    )
+    np.testing.assert_allclose(LeastSquares(6, 0.3)((), ring(6), np.ones(4), np.zeros(4), 0.0)[1].spread, 0.09 * np.eye(6))
 
 
 def remembered(rule, theta, T=400, seed=0, move=0.3):

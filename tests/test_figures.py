@@ -25,22 +25,14 @@ def test_plots_begin_and_end_with_the_flight_and_are_in_percent(pictures):
     for p in pictures.values():
         assert (p.x_range.start, p.x_range.end) == (trace.time[0], trace.time[-1])
     data = next(r for r in pictures["loss"].renderers if r.name == "rotor 3").data_source.data
-    data = (
-        data
-        | next(iter(pictures["command"].renderers)).data_source.data
-        | pictures["roll"].renderers[0].data_source.data
-    )
+    data = data | next(iter(pictures["command"].renderers)).data_source.data | pictures["roll"].renderers[0].data_source.data
     late = data["time"] > 40.0
     assert np.nanmedian(data["loss3"][late]) == pytest.approx(37.0, abs=1.0)
     assert np.nanmedian(data["command3"][late]) == pytest.approx(58.0, abs=1.0)
     flying, ground = (data["time"] >= 4.2) & (data["time"] <= 57.8), (data["time"] < 3.8) | (data["time"] > 58.2)
     assert np.isnan(data["loss3"][ground]).all() and np.isfinite(data["loss3"][flying]).all()
-    assert (data["low3"][flying] <= data["loss3"][flying]).all() and (
-        data["loss3"][flying] <= data["high3"][flying]
-    ).all()
-    assert data["roll_band"][flying] == pytest.approx(2 * 0.006) and data["roll_bottom"][flying] == pytest.approx(
-        -2 * 0.006
-    )
+    assert (data["low3"][flying] <= data["loss3"][flying]).all() and (data["loss3"][flying] <= data["high3"][flying]).all()
+    assert data["roll_band"][flying] == pytest.approx(2 * 0.006) and data["roll_bottom"][flying] == pytest.approx(-2 * 0.006)
 
 
 def test_one_line_of_each_plot_answers_the_pointer(pictures):
@@ -76,9 +68,7 @@ def test_a_hypothesis_of_one_rotor_has_its_colour_and_no_other_has():
 
 def test_rotors_that_nothing_is_known_against_have_the_palette_in_order(healthy):
     looks = colours.looks(healthy, 20)
-    assert [looks[k][0] for k in range(1, 9)] == list(colours.OTHERS) and {looks[k][1] for k in range(1, 9)} == {
-        "solid"
-    }
+    assert [looks[k][0] for k in range(1, 9)] == list(colours.OTHERS) and {looks[k][1] for k in range(1, 9)} == {"solid"}
     assert looks[9] == (colours.OTHERS[0], "dashed") and len(set(looks.values())) == 20
     assert colours.of_event(event()) == colours.FAULT and colours.of_event(event(kind="contact")) == colours.INK
     assert colours.of_event(event(alternatives=((1,),))) == colours.SUSPECT
@@ -89,10 +79,7 @@ def test_the_lane_shows_modes_as_spans_and_what_was_said_as_marks(pictures):
     drawn = {r.name: r.data_source.data for r in pictures["lane"].renderers}
     modes, said = drawn["modes"], drawn["messages"]
     assert list(zip(modes["left"], modes["right"])) == [(4.0, 40.0), (40.0, float(trace.time[-1]))]
-    assert (
-        modes["text"] == ["LOITER: 4.0 to 40.0 s", f"LAND: 40.0 to {trace.time[-1]:.1f} s"]
-        and len(set(modes["fill"])) == 2
-    )
+    assert modes["text"] == ["LOITER: 4.0 to 40.0 s", f"LAND: 40.0 to {trace.time[-1]:.1f} s"] and len(set(modes["fill"])) == 2
     assert sorted(said["time"]) == [3.5, 33.0]
     assert said["text"][0] == "33.0 s, error: crash check" and said["fill"] == ["#c1121f", colours.INK]
     assert lanes.messages(hexa_diagnosis(trace=replace(trace, messages=())), None) is None

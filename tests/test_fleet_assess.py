@@ -117,9 +117,7 @@ def service(rotor, utc=None, after=0, number=1):
     return {"aircraft": "A", "number": number, "rotor": rotor, "what": "new propeller", "utc": utc, "after": after}
 
 
-@pytest.mark.parametrize(
-    "given", [service(3, utc="2026-01-21T00:00:00.000Z"), service(3, after=20), service(0, after=20)]
-)
+@pytest.mark.parametrize("given", [service(3, utc="2026-01-21T00:00:00.000Z"), service(3, after=20), service(0, after=20)])
 def test_a_service_makes_a_rotor_new(given):
     rows = flights(losses(40, 4, 2, np.where(np.arange(40) < 20, np.linspace(0.0, 0.3, 40), 0.0)), seed=1)
     found, _ = assess.standings({"A": rows}, {"A": [given]})
@@ -166,11 +164,7 @@ def test_sisters_of_a_build_show_what_was_there_from_the_first_flight():
     rows = {f"A{k}": flights(losses(15, 4, 1, 0.3 if k == 3 else 0.0), seed=10 + k, aircraft=f"A{k}") for k in range(6)}
     found, _ = assess.standings(rows, {})
     assert [key for key, one in found.items() if any(r["named"] for r in one["rotors"])] == ["A3"]
-    assert (
-        found["A3"]["rotors"][1]["named"]
-        and found["A3"]["changes"][0]["from_the_first"]
-        and found["A3"]["sisters"] == 5
-    )
+    assert found["A3"]["rotors"][1]["named"] and found["A3"]["changes"][0]["from_the_first"] and found["A3"]["sisters"] == 5
     # Of another build there is nobody to compare with.
     for r in rows["A3"]:
         r["build"] = "another"
@@ -194,9 +188,6 @@ def test_wind_is_taken_out():
 
 
 def test_aircraft_of_healthy_fleets_are_left_alone():
-    rows = {
-        f"A{k}": flights(losses(30, 4 if k % 2 else 6), seed=50 + k, aircraft=f"A{k}", build=str(k % 2))
-        for k in range(12)
-    }
+    rows = {f"A{k}": flights(losses(30, 4 if k % 2 else 6), seed=50 + k, aircraft=f"A{k}", build=str(k % 2)) for k in range(12)}
     found, _ = assess.standings(rows, {})
     assert not any(r["named"] for one in found.values() for r in one["rotors"])

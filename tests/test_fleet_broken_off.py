@@ -35,9 +35,7 @@ def urls(request, tmp_path):
 def begin_and_kill(chance, *words):
     """A client that works on a store, killed after some lines of its output, with one flight more at most."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    client = subprocess.Popen(
-        [sys.executable, CLIENT, *words], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
+    client = subprocess.Popen([sys.executable, CLIENT, *words], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert client.stdin is not None and client.stdout is not None
     lines = chance.randint(3, 18)
     client.stdin.write(bytes(lines))

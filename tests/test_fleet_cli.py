@@ -29,11 +29,7 @@ def quick(monkeypatch):
     import rotorwatch.diagnose as module
 
     said = {"verdict": "healthy"}
-    monkeypatch.setattr(
-        module,
-        "diagnose",
-        lambda flight, **more: replace(hexa_diagnosis(events=(), warnings=()), verdict=said["verdict"]),
-    )
+    monkeypatch.setattr(module, "diagnose", lambda flight, **more: replace(hexa_diagnosis(events=(), warnings=()), verdict=said["verdict"]))
     return said
 
 
@@ -103,9 +99,7 @@ def test_a_log_behind_an_address_is_fetched_once(folder, quick, call):
 def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
     (folder / "broken.bin").write_bytes(SAMPLE[:200])
     code, out, err = call("add", folder / "broken.bin", folder / "a.bin")
-    assert (
-        code == 2 and out.count("healthy") == 1 and "broken.bin" in err and "1 added, 1 could not be diagnosed" in err
-    )
+    assert code == 2 and out.count("healthy") == 1 and "broken.bin" in err and "1 added, 1 could not be diagnosed" in err
     code, _, err = call("add", folder / "nothing*.bin")
     assert code == 2 and "fits no flight log" in err
 
@@ -133,21 +127,14 @@ def test_an_aircraft_that_crashes_stands_first(call, folder, quick):
     quick["verdict"] = "crashed"
     call("add", folder / "b.bin", "--aircraft", "wreck")
     rows = json.loads(call("list", "--json")[1])["aircraft"]
-    assert [(a["name"], a["state"]) for a in rows] == [
-        ("wreck", "fault"),
-        ("doubtful", "not judged"),
-        ("calm", "healthy"),
-    ]
+    assert [(a["name"], a["state"]) for a in rows] == [("wreck", "fault"), ("doubtful", "not judged"), ("calm", "healthy")]
     assert rows[0]["standing"]["last"]["verdict"] == "crashed" and "crashed" in rows[0]["standing"]["headline"]
     assert not any(a["new"] for a in rows), "nothing is new before the first look"
     assert " 1 crashed" not in call("list")[1].replace("Of 1 flight 1 crashed", "")
     (folder / "d.bin").write_bytes(SAMPLE + b"d")
     call("add", folder / "d.bin", "--aircraft", "calm")
     rows = json.loads(call("list", "--json")[1])["aircraft"]
-    assert {a["name"]: (a["state"], a["new"]) for a in rows[:2]} == {
-        "calm": ("fault", {"crashed": 1}),
-        "wreck": ("fault", {}),
-    }
+    assert {a["name"]: (a["state"], a["new"]) for a in rows[:2]} == {"calm": ("fault", {"crashed": 1}), "wreck": ("fault", {})}
     _, out, _ = call("list")
     assert "1 crashed" in out and "fault" in out
     assert not any(a["new"] for a in json.loads(call("list", "--json")[1])["aircraft"])
@@ -174,9 +161,7 @@ def test_aircraft_are_listed_shown_renamed_and_serviced(call, folder, quick):
     code, out, _ = call("list", "--flights", "--json")
     rows = json.loads(out)
     assert code == 0 and rows["total"] == 3 and {r["aircraft_name"] for r in rows["flights"]} == {"quad 7"}
-    code, out, _ = call(
-        "service", "quad 7", "new propeller", "--rotor", "3", "--after", rows["flights"][1]["hash"][:10]
-    )
+    code, out, _ = call("service", "quad 7", "new propeller", "--rotor", "3", "--after", rows["flights"][1]["hash"][:10])
     assert code == 0 and out.startswith("quad 7: rotor 3, new propeller")
     code, _, err = call("service", "quad 7", "new propeller", "--at", "yesterday")
     assert code == 2 and "2026-05-01" in err
@@ -224,10 +209,7 @@ def test_pages_and_tables(call, folder, quick, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     code, out, _ = call("export", "-o", tmp_path / "tables")
     assert code == 0 and len(out.split()) == 4
-    rows = {
-        name: parquet.read_table(tmp_path / "tables" / f"{name}.parquet")
-        for name in ("flights", "aircraft", "rotors", "services")
-    }
+    rows = {name: parquet.read_table(tmp_path / "tables" / f"{name}.parquet") for name in ("flights", "aircraft", "rotors", "services")}
     assert [rows[k].num_rows for k in rows] == [3, 1, 4, 0]
     assert rows["rotors"]["status"].to_pylist() == ["healthy"] * 4
 
@@ -296,9 +278,7 @@ def test_a_fleet_is_flown_and_scored(monkeypatch, tmp_path, run):
         story, k, n, w = flown
         table = row(k, w, n)
         known = {key: table[key] for key in ("utc", "airborne_s", "rotors", "verdict", "trim")}
-        return Entry(
-            hash=hash, path=path, name=path, size=size, identity=f"serial {story.name}", build=story.frame, **known
-        )
+        return Entry(hash=hash, path=path, name=path, size=size, identity=f"serial {story.name}", build=story.frame, **known)
 
     monkeypatch.setattr(synthetic, "fly", fly)
     monkeypatch.setattr(synthetic.judge, "of_flight", of_flight)
@@ -363,9 +343,7 @@ def test_filters_have_the_same_names_everywhere():
     said = (page / "address.js").read_text("utf-8").split("NAMES = ")[1].split(";")[0]
     assert json.loads(said) == [*names, "sort"]
     form = (page / "index.html").read_text("utf-8").split('id="sort"')[1].split("</select>")[0]
-    assert {text.split('"')[0] for text in form.split('value="')[1:]} == {
-        way + name for name in ORDERS for way in ("", "-")
-    }
+    assert {text.split('"')[0] for text in form.split('value="')[1:]} == {way + name for name in ORDERS for way in ("", "-")}
 
 
 def test_two_flights_are_compared(call, three):
@@ -377,10 +355,7 @@ def test_two_flights_are_compared(call, three):
     assert code == 0 and out.startswith(found["headline"]) and "! aircraft" in out and "quad 8" in out
     code, out, _ = call("compare", three["a.bin"], three["b.bin"])
     assert code == 0 and out.startswith("The answers agree within their intervals.") and "!" not in out
-    for words, says in (
-        (("a.bin", three["a.bin"]), "no flight with such a hash"),
-        ((three["a.bin"],) * 2, "two different"),
-    ):
+    for words, says in ((("a.bin", three["a.bin"]), "no flight with such a hash"), ((three["a.bin"],) * 2, "two different")):
         code, out, err = call("compare", *words)
         assert code == 2 and not out and says in err
 
@@ -397,12 +372,7 @@ def test_flights_are_deleted_and_added_again(call, three, folder, tmp_path):
     code, out, err = call("delete", three["c.bin"], "0123456789", "--yes")
     assert code == 2 and "0123456789: the store holds no flight" in err and report.exists(), "all or none"
     code, out, err = call("delete", three["c.bin"], three["c.bin"], "--yes")
-    assert (
-        code == 0
-        and out == f"deleted {hash[:8]}  c.bin\n"
-        and not report.exists()
-        and not list(report.parent.iterdir())
-    )
+    assert code == 0 and out == f"deleted {hash[:8]}  c.bin\n" and not report.exists() and not list(report.parent.iterdir())
     (only,) = json.loads(call("list", "--json")[1])["aircraft"]
     assert only["name"] == "quad 7" and not only["stale"], "standings are worked out anew"
     assert call("delete", three["c.bin"], "--yes")[0] == 2

@@ -98,9 +98,7 @@ def test_sisters_show_damage_from_the_first_flight():
     theta = losses(40, 4, r3=np.full(40, 0.25))
     alone = explain.explain(series(theta, seed=7))
     assert alone.evidence.max() < 1.0
-    beside = explain.explain(
-        series(theta, seed=7, level=np.zeros(3), level_covariance=np.diag([0.02, 0.02, 0.012]) ** 2)
-    )
+    beside = explain.explain(series(theta, seed=7, level=np.zeros(3), level_covariance=np.diag([0.02, 0.02, 0.012]) ** 2))
     assert beside.evidence[2] > 5.0 and beside.atoms[0].start == 0
 
 
@@ -141,8 +139,7 @@ def test_the_prognosis_of_one_line_is_fiellers():
 
 
 @pytest.mark.parametrize(
-    ("given", "word"),
-    [(lines(0.05, 0.001, 0.002, 0.001), "no trend"), (lines(0.12, 0.01, 0.01, 0.001), "reached"), (None, "no trend")],
+    ("given", "word"), [(lines(0.05, 0.001, 0.002, 0.001), "no trend"), (lines(0.12, 0.01, 0.01, 0.001), "reached"), (None, "no trend")]
 )
 def test_no_prognosis_without_a_trend(given, word):
     said = prognosis.foresee(given, 10.0)

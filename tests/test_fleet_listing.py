@@ -25,9 +25,7 @@ def url(request, tmp_path, monkeypatch):
 
 def told(verdict="healthy", loss=0.0, onset=None):
     """An answer with one event, or none."""
-    events = (
-        [] if onset is None else [{"kind": "loss_of_effectiveness", "rotors": [3], "loss": [loss], "onset_s": onset}]
-    )
+    events = [] if onset is None else [{"kind": "loss_of_effectiveness", "rotors": [3], "loss": [loss], "onset_s": onset}]
     return {"verdict": verdict, "events": events, "main_event": None if onset is None else 0, "rotors": []}
 
 

@@ -114,16 +114,9 @@ def test_maintenance_without_a_time_lies_after_the_last_flight_of_the_aircraft(u
 def test_a_judgement_is_replaced_and_nothing_else(url):
     with Store(url) as store:
         store.add(entry(1))
-        store.judge_again(
-            entry(1, "uid Z", path="/other", verdict="fault", version="9", diagnosis={"verdict": "fault"})
-        )
+        store.judge_again(entry(1, "uid Z", path="/other", verdict="fault", version="9", diagnosis={"verdict": "fault"}))
         (found,) = store.flights()
-        assert (found["verdict"], found["version"], found["path"], found["aircraft_name"]) == (
-            "fault",
-            "9",
-            "/logs/1.bin",
-            "A",
-        )
+        assert (found["verdict"], found["version"], found["path"], found["aircraft_name"]) == ("fault", "9", "/logs/1.bin", "A")
         with pytest.raises(StoreError, match="no flight"):
             store.judge_again(entry(2))
 
@@ -162,11 +155,7 @@ def test_an_older_store_is_brought_up_to_date(url, monkeypatch):
         assert new.count() == 1
         key = new.aircraft()[0]["key"]
         new.set_standings({key: {"rotors": []}}, {key: {"hours": [1.0]}}, 1)
-        assert (
-            new.standing(key) == {"rotors": []}
-            and new.points(key) == {"hours": [1.0]}
-            and not new.aircraft()[0]["stale"]
-        )
+        assert new.standing(key) == {"rotors": []} and new.points(key) == {"hours": [1.0]} and not new.aircraft()[0]["stale"]
     monkeypatch.setattr(t, "STEPS", steps[:1])
     with pytest.raises(StoreError, match="update rotorwatch"):
         Store(url)
@@ -189,11 +178,7 @@ def test_a_step_that_fails_changes_nothing(url, monkeypatch):
 
 @pytest.mark.parametrize(
     ("given", "says"),
-    [
-        ("mysql://host/db", "no store"),
-        ("", "empty name"),
-        ("postgresql://rw@127.0.0.1:9/none?connect_timeout=1", "cannot be reached"),
-    ],
+    [("mysql://host/db", "no store"), ("", "empty name"), ("postgresql://rw@127.0.0.1:9/none?connect_timeout=1", "cannot be reached")],
 )
 def test_addresses_that_are_no_stores(given, says):
     with pytest.raises((ConfigError, StoreError), match=says) as why:
@@ -236,7 +221,5 @@ def test_a_flight_is_kept_as_it_was_diagnosed():
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz")
     found = diagnose(flight)
     assert judge.of_flight(flight, "h", "p", 1, found=found) == judge.of_flight(flight, "h", "p", 1)
-    doubted = judge.of_flight(
-        flight, "h", "p", 1, found=replace(found, doubts=("Another vehicle flew.", "So it seems."))
-    )
+    doubted = judge.of_flight(flight, "h", "p", 1, found=replace(found, doubts=("Another vehicle flew.", "So it seems.")))
     assert doubted.trim["doubt"] == "Another vehicle flew."

@@ -110,9 +110,7 @@ def plain(value):
     if isinstance(value, ctypes.Structure):
         return {name: plain(getattr(value, name)) for name, _ in value._fields_}
     if isinstance(value, (list, ctypes.Array)):
-        if isinstance(value[0], float) or (
-            isinstance(value[0], (list, ctypes.Array)) and isinstance(value[0][0], float)
-        ):
+        if isinstance(value[0], float) or (isinstance(value[0], (list, ctypes.Array)) and isinstance(value[0][0], float)):
             return (np.array(value) + 0.0).tobytes()  # a zero has no sign
         return [plain(inner) for inner in value]
     return (value + 0.0).hex() if isinstance(value, float) else value

@@ -47,9 +47,7 @@ def test_sweep_and_bisection_agree_with_a_dense_grid(seed):
 
     A, E, C, F = random_system(seed)
     omega = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 20_000)])
-    largest = np.linalg.norm(
-        C @ np.linalg.solve(1j * omega[:, None, None] * np.eye(5) - A, E[None] + 0j) + F, 2, axis=(1, 2)
-    ).max()
+    largest = np.linalg.norm(C @ np.linalg.solve(1j * omega[:, None, None] * np.eye(5) - A, E[None] + 0j) + F, 2, axis=(1, 2)).max()
     for norm in NORMS:
         value = norm(A, E, C, F)
         assert largest * (1 - 1e-9) <= value <= largest * (1 + 1e-3)
@@ -95,9 +93,7 @@ def test_the_proof_holds_at_the_vertices_and_between():
         z = C + D @ found.K
         norms = [norm(closed, E, z) for norm in (*NORMS, h_infinity.bounded_real)]
         assert max(norms) - min(norms) < 1e-4 * max(norms) and max(norms) <= found.level * (1 + 1e-6)
-    assert found.worst == 0 and found.norm == pytest.approx(
-        h_infinity.sweep(A + B[0] @ found.K, E, C + D @ found.K), rel=1e-4
-    )
+    assert found.worst == 0 and found.norm == pytest.approx(h_infinity.sweep(A + B[0] @ found.K, E, C + D @ found.K), rel=1e-4)
     narrow = h_infinity.state_feedback(*cart(0.9, 1.0))
     assert narrow.level < found.level
 

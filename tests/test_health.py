@@ -17,9 +17,7 @@ from rotorwatch.report.sections import health as health_section
 
 # Roll, pitch, yaw, thrust of a quad X in the autopilot's order: front right, rear left, front left, rear right.
 QUAD = np.array([[-0.7, 0.7, 0.7, -0.7], [0.7, -0.7, 0.7, -0.7], [1.0, 1.0, -1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])
-HEXA = np.array(
-    [[-1.0, 1.0, 0.5, -0.5, -0.5, 0.5], [0, 0, 0.9, -0.9, 0.9, -0.9], [-1.0, 1.0, -1.0, 1.0, 1.0, -1.0], [1.0] * 6]
-)
+HEXA = np.array([[-1.0, 1.0, 0.5, -0.5, -0.5, 0.5], [0, 0, 0.9, -0.9, 0.9, -0.9], [-1.0, 1.0, -1.0, 1.0, 1.0, -1.0], [1.0] * 6])
 DT = 0.1
 
 
@@ -43,9 +41,7 @@ def flight(B=QUAD, growth=None, wind=None, step=None, seconds=120.0, seed=0, sag
     b[:, :3] += 0.05 * thrust.mean(axis=1)[:, None]  # a centre of mass that is off
     if wind is not None:
         b[:, :3] += np.asarray(wind) * time[:, None] / 60.0
-    ticks = SimpleNamespace(
-        time=time, thrust=thrust, mode=np.full(T, JUDGE), valid=np.ones((T, 4), bool), upset=np.zeros(T, bool), dt=DT
-    )
+    ticks = SimpleNamespace(time=time, thrust=thrust, mode=np.full(T, JUDGE), valid=np.ones((T, 4), bool), upset=np.zeros(T, bool), dt=DT)
     return SimpleNamespace(theta=known, biases=b), ticks
 
 

@@ -96,9 +96,7 @@ def test_nothing_is_found_while_the_ground_carries_the_vehicle(leaves):
     ticks.thrust[ground, 1] += 0.25
     ticks.wrench[:] = ticks.thrust @ QUAD.T
     again = hindsight.beginnings(ticks)
-    assert (
-        again is not None and again.time[0] == pytest.approx(max(leaves, ticks.time[0]), abs=1.1) and again.restart[0]
-    )
+    assert again is not None and again.time[0] == pytest.approx(max(leaves, ticks.time[0]), abs=1.1) and again.restart[0]
     assert again.restart.sum() == 1 and found(ticks)[1] == ()
 
 

@@ -114,9 +114,7 @@ def evidence(likelihood, mean, sd):
     grid = np.linspace(mean - 8 * sd, mean + 8 * sd, 4001)
     both = [likelihood(v) - 0.5 * ((v - mean) / sd) ** 2 for v in grid]
     near, top = grid[int(np.argmax(both))], max(both)
-    wide = np.sqrt(
-        -1.0 / np.diff([likelihood(near + d) - 0.5 * ((near + d - mean) / sd) ** 2 for d in (-1e-3, 0, 1e-3)], 2)[0]
-    )
+    wide = np.sqrt(-1.0 / np.diff([likelihood(near + d) - 0.5 * ((near + d - mean) / sd) ** 2 for d in (-1e-3, 0, 1e-3)], 2)[0])
     wide *= 1e-3
 
     def density(nu):
@@ -383,9 +381,7 @@ def test_a_rotor_that_gives_one_thrust_is_the_integral_over_that_thrust(rotor):
 
         def moment(power, w=w, density=density):
             middle = gives[w, rotor]
-            return quad(
-                lambda f: density(f) * (f - middle) ** power, -1.5, 4.5, points=[middle], epsabs=1e-13, limit=200
-            )[0]
+            return quad(lambda f: density(f) * (f - middle) ** power, -1.5, 4.5, points=[middle], epsabs=1e-13, limit=200)[0]
 
         assert told[w, rotor] == pytest.approx(top[w] + np.log(moment(0) / (sd * np.sqrt(2.0 * np.pi))), abs=1e-6)
         assert gives[w, rotor] == pytest.approx(thrust, abs=0.1)

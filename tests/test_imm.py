@@ -38,9 +38,7 @@ def one_filter(plant, d, s, P, walk, u, y, valid, dt):
 
 def mixture(weights, means, covariances):
     mean = sum(w * m for w, m in zip(weights, means, strict=True))
-    return mean, sum(
-        w * (P + np.outer(m - mean, m - mean)) for w, m, P in zip(weights, means, covariances, strict=True)
-    )
+    return mean, sum(w * (P + np.outer(m - mean, m - mean)) for w, m, P in zip(weights, means, covariances, strict=True))
 
 
 def second(plant, table, walk, var, stay_s):
@@ -70,9 +68,7 @@ def second(plant, table, walk, var, stay_s):
         s, P, density = (list(column) for column in zip(*found, strict=True))
         mu = c * np.array(density) / (c @ np.array(density))
         x, x_cov = mixture(mu, [v[:3] for v in s], [V[:3, :3] for V in P])
-        theta, theta_cov = mixture(
-            mu, [v[3] * d for v, d in zip(s, MODES)], [V[3, 3] * np.outer(d, d) for V, d in zip(P, MODES)]
-        )
+        theta, theta_cov = mixture(mu, [v[3] * d for v, d in zip(s, MODES)], [V[3, 3] * np.outer(d, d) for V, d in zip(P, MODES)])
         yield x, x_cov, theta, theta_cov, mu
 
 

@@ -26,9 +26,7 @@ SAMPLE = cli.SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
 
 # The command; nohup has SIGHUP ignored for all that it starts, the test's own processes too.
-COMMAND = (
-    "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); from rotorwatch.commands.cli import main; main()"
-)
+COMMAND = "import signal; signal.signal(signal.SIGHUP, signal.SIG_DFL); from rotorwatch.commands.cli import main; main()"
 
 
 class Drips(io.RawIOBase):
@@ -50,9 +48,7 @@ def test_a_stream_is_kept_whole(tmp_path):
         assert (tmp_path / "kept").read_bytes() == data
 
 
-@pytest.mark.parametrize(
-    ("every_s", "stalls_s", "most_s", "said"), [(5.0, 0.1, 60.0, "nothing came"), (0.01, 1.0, 0.2, "not whole")]
-)
+@pytest.mark.parametrize(("every_s", "stalls_s", "most_s", "said"), [(5.0, 0.1, 60.0, "nothing came"), (0.01, 1.0, 0.2, "not whole")])
 def test_a_stream_that_does_not_come_is_given_up(tmp_path, monkeypatch, every_s, stalls_s, most_s, said):
     monkeypatch.setattr(incoming, "STALLS_S", stalls_s)
     monkeypatch.setattr(incoming, "MOST_S", most_s)

@@ -38,10 +38,7 @@ def flown(amount):
     scenarios = [asked(*flight) for flight in made]
     e = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 1.0])
     entries = [[reconfigured.entry(6, ONSET_S + 0.1, e)] if way == "told" else [] for way, _ in made]
-    plans = [
-        prepare.plan(s)._replace(schedule=reconfigured.schedule(6, m, 1))
-        for s, m in zip(scenarios, entries, strict=True)
-    ]
+    plans = [prepare.plan(s)._replace(schedule=reconfigured.schedule(6, m, 1)) for s, m in zip(scenarios, entries, strict=True)]
     craft, first = reconfigured.Reconfigured(rows(prepare.vehicle(scenarios[0]))), scenarios[0]
     records = loop.fly_many(craft, loop.stack(plans), first.duration_s, first.rate_hz, first.record_hz)
     found = {}

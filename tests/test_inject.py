@@ -23,9 +23,7 @@ def made(frame="ardupilot-quad-x", fast=False, hover=0.4, battery=0.95, seed=0):
     vehicle = airframes.named(frame)
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, 20.0, 0.02 if fast else 0.1)
-    control = np.column_stack(
-        [0.04 * rng.standard_normal((time.size, 3)), hover + 0.02 * rng.standard_normal(time.size)]
-    )
+    control = np.column_stack([0.04 * rng.standard_normal((time.size, 3)), hover + 0.02 * rng.standard_normal(time.size)])
     drive = allocation.drive(vehicle.curve.expo, control @ vehicle.mixer.T) / battery
     command = vehicle.curve.u_min + (vehicle.curve.u_max - vehicle.curve.u_min) * drive
     slow = slice(None, None, 5 if fast else 1)
@@ -170,9 +168,7 @@ def test_campaign_on_the_sample_flight():
     flight = logs.read(next(cli.SAMPLES.glob("quadx_healthy*")))
     flight = flight.until(45.0)
     told = []
-    result = inject.campaign(
-        [flight], losses=(0.3,), repeats=1, seed=3, progress=lambda share, text: told.append(share)
-    )
+    result = inject.campaign([flight], losses=(0.3,), repeats=1, seed=3, progress=lambda share, text: told.append(share))
     (row,) = result["table"]
     assert row["injections"] == 4 and row["detected"] == row["right"] == 1.0 and row["false_alarms"] == 0
     assert row["loss_rms"] < 0.03 and row["median_delay_s"] < 2.0
@@ -184,13 +180,7 @@ def test_campaign_on_the_sample_flight():
 
 
 @pytest.mark.parametrize(
-    ("call", "word"),
-    [
-        (([],), "at least one"),
-        ((["x"], (1.0,)), "dead"),
-        ((["x"], ()), "above 0"),
-        ((["x"], (0.2,), 0), "repeats"),
-    ],
+    ("call", "word"), [(([],), "at least one"), ((["x"], (1.0,)), "dead"), ((["x"], ()), "above 0"), ((["x"], (0.2,), 0), "repeats")]
 )
 def test_campaign_refuses_impossible_requests(call, word):
     with pytest.raises(ConfigError, match=word):

@@ -60,9 +60,7 @@ def flown(system, theta, u, dt=DT):
         x = system.f(x, row[0], row[1], dt)
         return x, system.h(x, *row)
 
-    return np.asarray(
-        jax.jit(lambda u, theta: jax.lax.scan(step, np.asarray(system.x0, float), (u, theta))[1])(u, theta)
-    )
+    return np.asarray(jax.jit(lambda u, theta: jax.lax.scan(step, np.asarray(system.x0, float), (u, theta))[1])(u, theta))
 
 
 def moving(system, T, seed=0, share=0.1):
@@ -207,9 +205,7 @@ def regressor_error(monkeypatch=None, system=F450, T=600):
         carry, _ = estimator.step(carry, *row)
         return carry, (carry.fault, carry.regressor.value @ theta)
 
-    start = estimator.init()._replace(
-        started=jax.numpy.array(True)
-    )  # a filter at rest: losses are there from the start
+    start = estimator.init()._replace(started=jax.numpy.array(True))  # a filter at rest: losses are there from the start
     start = start._replace(known=jax.numpy.ones_like(start.known))
     fault, wanted = jax.tree.map(np.asarray, jax.lax.scan(step, start, (u, y, valid))[1])
     return np.abs(fault - wanted).max() / np.abs(fault).max()
@@ -312,9 +308,7 @@ def test_closed_form_says_what_eigenvalues_say(alpha, epsilon, lp, lv):
 
 def test_printed_epsilon_is_infeasible_and_its_inverse_is_not():
     A, C, E = design.double_integrators()
-    with pytest.raises(
-        ConfigError, match=r"no solution for alpha = 1, epsilon = 0.02: Sigma_22 has the eigenvalue 98 mu"
-    ):
+    with pytest.raises(ConfigError, match=r"no solution for alpha = 1, epsilon = 0.02: Sigma_22 has the eigenvalue 98 mu"):
         design.synthesize(A, C, E, E, 1.0, 0.02)
     found = design.synthesize(A, C, E, E, 1.0, 50.0)
     assert found.largest < 0 and found.mu > 0
@@ -453,15 +447,9 @@ class Deaf(LinearHover):
     [
         (lambda: Intermediate(F450, 0.0), "dt must be above zero"),
         (lambda: Intermediate(F450, DT, alpha=-1.0), "alpha must be above zero"),
-        (
-            lambda: Intermediate(F450, DT, allocation="magic"),
-            "allocation must be one of auto, least_squares, sparse, temporal",
-        ),
+        (lambda: Intermediate(F450, DT, allocation="magic"), "allocation must be one of auto, least_squares, sparse, temporal"),
         (lambda: Intermediate(F450, DT, discretisation="tustin"), "discretisation must be one of exact, euler"),
-        (
-            lambda: Intermediate(object(), DT),
-            "The intermediate observer is not defined for the plant object: it needs f",
-        ),
+        (lambda: Intermediate(object(), DT), "The intermediate observer is not defined for the plant object: it needs f"),
         (lambda: Intermediate(Deaf(F450.B), DT), "not observable from them"),
         (lambda: LinearHover(np.ones((3, 4))), "B must have the shape"),
         (lambda: LinearHover(F450.B, measured_sd=(0.0,) * 8), "measured_sd must be above zero"),

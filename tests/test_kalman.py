@@ -59,9 +59,7 @@ def test_an_update_is_kalmans_of_all_axes_at_once():
         assert not np.array(out.innovation)[~valid].any() and not np.array(out.gain)[~valid].any()
         assert after == pytest.approx(after.T, abs=1e-13)
     _, _, out = updated(one, rows, y, [True] * 4, R)
-    assert out.S[0] == pytest.approx(rows[0] @ cov @ rows[0] + R[0]) and out.innovation[0] == pytest.approx(
-        y[0] - rows[0] @ s
-    )
+    assert out.S[0] == pytest.approx(rows[0] @ cov @ rows[0] + R[0]) and out.innovation[0] == pytest.approx(y[0] - rows[0] @ s)
     assert array(out.gain[0], SIZE) == pytest.approx(cov @ rows[0] / out.S[0])
 
 
@@ -126,9 +124,7 @@ def test_a_loss_that_has_been_refined_is_known_its_variance_remembered():
     assert after.variance[3] == 0.0 and after.learning[0] == after.learning[3] == 0.0
 
 
-@pytest.mark.parametrize(
-    "away, sd, moving", [(0.02, 1e-3, True), (0.0005, 1e-3, False), (0.02, 0.05, False), (-0.02, 1e-3, True)]
-)
+@pytest.mark.parametrize("away, sd, moving", [(0.02, 1e-3, True), (0.0005, 1e-3, False), (0.02, 0.05, False), (-0.02, 1e-3, True)])
 def test_a_loss_that_still_moves_is_refined_further(away, sd, moving):
     """It has left its mean of two seconds by its own uncertainty."""
     one = branch(learning=np.full(N, DT), P=lower(sd**2 * np.eye(SIZE)))

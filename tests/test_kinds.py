@@ -30,35 +30,15 @@ LABORATORY = ROOT / "src" / "rotorwatch_lab"
 PLANTED = (
     Kind(100, "gives_more", "more thrust than commanded", "", Weight.FAULT, Span.LASTS),
     Kind(101, "mount_turned", "twisted motor mount", "", Weight.FAULT, Span.STAYS, brief="turned on its mount"),
-    Kind(
-        102,
-        "growing_loss",
-        "growing loss",
-        "",
-        Weight.FAULT,
-        Span.LASTS,
-        weakens=True,
-        now=Words("growing weaker since {at}"),
-    ),
+    Kind(102, "growing_loss", "growing loss", "", Weight.FAULT, Span.LASTS, weakens=True, now=Words("growing weaker since {at}")),
     Kind(103, "outside_force", "outside force", "", Weight.OUTSIDE, Span.LASTS),
-    Kind(
-        104,
-        "unknown",
-        "something else",
-        "",
-        Weight.UPSET,
-        Span.LASTS,
-        headline=Words("Nothing known explains it at {at}."),
-    ),
+    Kind(104, "unknown", "something else", "", Weight.UPSET, Span.LASTS, headline=Words("Nothing known explains it at {at}.")),
 )
 KINDS = tuple(kinds.table().values())
 EVENT_ROWS = tuple(row for row in KINDS if row.weight is not Weight.OPEN)  # the others are no events of an answer
 NAMES = (*(row.name for row in (*EVENT_ROWS, *PLANTED)), "of_another_version")
 # Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
-ELSEWHERE = {
-    "engine/motion/ticks.py": {kinds.CONTACT},
-    "engine/definition.py": {kinds.CONTACT},
-}  # a file of that name
+ELSEWHERE = {"engine/motion/ticks.py": {kinds.CONTACT}, "engine/definition.py": {kinds.CONTACT}}  # a file of that name
 
 
 @pytest.fixture(autouse=True)
@@ -173,9 +153,7 @@ def test_the_number_of_a_kind_is_for_ever_and_not_its_place():
     """Boards send it: a row that is put above others changes nothing."""
     given = definition.LOSS, definition.OUTPUT_OVERRIDE, definition.CONTACT, definition.TURNED_MOUNT
     assert [kinds.number(name) for name in (kinds.LOSS, kinds.OVERRIDE, kinds.CONTACT, kinds.TURNED)] == list(given)
-    assert [
-        kinds.number(name) for name in (kinds.LOST, kinds.ORDER, kinds.DESYNC, kinds.SLOW, kinds.HIGH, kinds.LOW)
-    ] == list(range(3, 9))
+    assert [kinds.number(name) for name in (kinds.LOST, kinds.ORDER, kinds.DESYNC, kinds.SLOW, kinds.HIGH, kinds.LOW)] == list(range(3, 9))
     assert len({row.number for row in (*KINDS, *PLANTED)}) == len((*KINDS, *PLANTED))
     found = packed([an_event(name) for name in NAMES])["kind"].tolist()
     assert found[:-1] == [row(name).number for name in NAMES[:-1]] and found[-1] not in found[:-1]
@@ -191,9 +169,7 @@ def spelled(path):
     if path.suffix != ".py":
         return {name for name in [r.name for r in KINDS] if "_" in name and name in path.read_text(encoding="utf-8")}
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    return {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)} & {
-        r.name for r in KINDS
-    }
+    return {n.value for n in nodes if isinstance(n, ast.Constant) and isinstance(n.value, str)} & {r.name for r in KINDS}
 
 
 def test_no_other_source_spells_out_kinds():

@@ -41,9 +41,7 @@ jax = load_jax()
 def rates_quad():
     """A quad in hover thrusts of one rotor, as logs are judged."""
     B = airframes.named("ardupilot-quad-x").effectiveness()
-    return RateDynamics(
-        np.diag([0.012, 0.013, 0.025]), np.diag([1, 1, 0.08]) @ B[:3], B[3], 4 / 9.80665, 0.01, 0.3, 0.01 * np.ones(3)
-    )
+    return RateDynamics(np.diag([0.012, 0.013, 0.025]), np.diag([1, 1, 0.08]) @ B[:3], B[3], 4 / 9.80665, 0.01, 0.3, 0.01 * np.ones(3))
 
 
 def rates_hexa():
@@ -56,9 +54,7 @@ def wrench_quad():
     B = airframes.named("ardupilot-quad-x").effectiveness()
     names = [f"{axis}.{what}" for axis in plant.AXES for what in ("b1", "b2", "b3", "gain", "damping")]
     names[-1] = "side force"
-    return SimpleNamespace(
-        B=B, n_x=THETA, n_theta=4, n_y=4, n_u=19, x_names=(*names, "thrust curve", "air", "lower rotors' share")
-    )
+    return SimpleNamespace(B=B, n_x=THETA, n_theta=4, n_y=4, n_u=19, x_names=(*names, "thrust curve", "air", "lower rotors' share"))
 
 
 def gaps():
@@ -87,9 +83,7 @@ def flown(make, seed=0, loss=0.0, spread=0.0):
     hover = np.linalg.pinv(B) @ np.array([0, 0, 0, system.m * 9.80665])
     share = np.linalg.pinv(B)[:, :3] @ np.diag(np.diag(system.J)) * 8.0
     root = np.linalg.cholesky(np.asarray(system.Q(DT)))
-    first = spread * np.abs(
-        np.random.default_rng(100 + seed).standard_normal(n)
-    )  # none below 0: some methods know that
+    first = spread * np.abs(np.random.default_rng(100 + seed).standard_normal(n))  # none below 0: some methods know that
     x, rows = np.asarray(system.x0) + 0.1 * rng.standard_normal(3), []
     for k in range(TICKS):
         theta = first + np.where(np.arange(n) == 1, loss * (k >= ONSET), 0.0)
@@ -120,14 +114,7 @@ def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
     thrust = np.stack([np.linalg.solve(B * s, w) for s, w in zip(share, needed, strict=True)])
     thrust += 0.004 * rng.standard_normal((TICKS, n))
     table = SimpleNamespace(
-        thrust=thrust,
-        rate_dot=rate_dot,
-        load=load,
-        rate=rate,
-        side=None,
-        hover=np.full(TICKS, 0.4),
-        curve=(0.65, 0.0),
-        axial=None,
+        thrust=thrust, rate_dot=rate_dot, load=load, rate=rate, side=None, hover=np.full(TICKS, 0.4), curve=(0.65, 0.0), axial=None
     )
     when = np.arange(TICKS)
     if mode is None:
@@ -416,10 +403,7 @@ FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
 SLOW_CASES = [c for c in CASES if c[1] is not rates_hexa and (FULL or c[0] != "esmf")]
 
 
-EACH = [
-    pytest.param(name, make, marks=[pytest.mark.thorough] * (make is rates_hexa and name not in HEXA_TOO))
-    for name, make in CASES
-]
+EACH = [pytest.param(name, make, marks=[pytest.mark.thorough] * (make is rates_hexa and name not in HEXA_TOO)) for name, make in CASES]
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
@@ -428,9 +412,7 @@ def test_law(name, make, law):
     law(case_of(name, make))
 
 
-@pytest.mark.parametrize(
-    "law", [law for law in LAWS if law is not a_step_is_made_of_what_can_run_anywhere], ids=lambda law: law.__name__
-)
+@pytest.mark.parametrize("law", [law for law in LAWS if law is not a_step_is_made_of_what_can_run_anywhere], ids=lambda law: law.__name__)
 def test_law_of_the_default(law):
     """What can run anywhere is what the translator takes (test_definitions.py); other pieces give the same bits (test_engine.py)."""
     law(case_of("default", wrench_quad))
@@ -528,9 +510,7 @@ def over_linear(kind):
     case = Case(kind, Linear)
     if "theta_var" in (known := inspect.signature(kind).parameters):
         # Losses are constant: what forgets sooner says more than the error that it has.
-        case.estimator = kind(
-            case.system, DT, theta_var=THETA_VAR, **({"memory_s": 4.0} if "memory_s" in known else {})
-        )
+        case.estimator = kind(case.system, DT, theta_var=THETA_VAR, **({"memory_s": 4.0} if "memory_s" in known else {}))
     u, y, valid, dt = linear_table()
     many = jax.jit(jax.vmap(case.run, (None, 0, None, None)))(u, np.concatenate([y[None], linear_flights()]), valid, dt)
     return tuple(Estimate(*(np.asarray(leaf[part]) for leaf in many)) for part in (0, slice(1, None)))
@@ -752,9 +732,7 @@ PLANTED = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("law", "kind"), PLANTED, ids=lambda v: getattr(v, "__name__", "") if inspect.isfunction(v) else ""
-)
+@pytest.mark.parametrize(("law", "kind"), PLANTED, ids=lambda v: getattr(v, "__name__", "") if inspect.isfunction(v) else "")
 def test_a_planted_error_is_caught(law, kind):
     with pytest.raises(AssertionError):
         law(Case(kind, rates_quad))

@@ -21,12 +21,8 @@ def flown(push=4.0, torque=2.6, speed=0.1, begins=40.0, grows_s=6.0, duration=60
         side=np.stack([push * grown, 0.0 * time], axis=1) + 0.05 * rng.standard_normal((time.size, 2)),
         wrench=np.stack([0.0 * time, 0.0 * time, torque * grown, 4.0 + 0.0 * time], axis=1) + 0.02 * rng.standard_normal((time.size, 4)),
     )  # fmt: skip
-    velocity = Signal(
-        time, np.stack([np.full(time.size, speed), 0.0 * time, 0.0 * time], axis=1), ("n", "e", "d"), "m/s", "NED"
-    )
-    return type(
-        "Flown", (), {"has": lambda self, name: name == "velocity", "__getitem__": lambda self, name: velocity}
-    )(), table
+    velocity = Signal(time, np.stack([np.full(time.size, speed), 0.0 * time, 0.0 * time], axis=1), ("n", "e", "d"), "m/s", "NED")
+    return type("Flown", (), {"has": lambda self, name: name == "velocity", "__getitem__": lambda self, name: velocity})(), table
 
 
 @pytest.mark.parametrize("grows_s", [0.5, 3.0, 6.0])

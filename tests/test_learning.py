@@ -18,17 +18,7 @@ KNOWN = np.array([a * PER_AXIS + k for a in range(4) for k in (GAIN, DAMPING)])
 
 
 def flight(
-    gain=1.0,
-    sd=0.1,
-    noise=1.0,
-    judged_s=20.0,
-    dt=DT,
-    share=0.0,
-    share_sd=0.05,
-    bias=0.0,
-    curve=0.0,
-    curve_sd=1.0,
-    air=(0.05, 0.05),
+    gain=1.0, sd=0.1, noise=1.0, judged_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0, curve=0.0, curve_sd=1.0, air=(0.05, 0.05)
 ):
     """What the estimator would end with: gains and dampings `gain` times 1, 2 .. 8, known to `sd`; biases, which are not to be learned."""
     s, P = np.full(AXIS_STATES + 3, bias), np.eye(AXIS_STATES + 3)

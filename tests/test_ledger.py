@@ -110,12 +110,8 @@ def test_who_testifies_first_does_not_matter_and_nothing_is_said_twice(claims, r
     assert merged(*found.events) == ledger.Merged(found.events, ())
     assert [e.detected_s for e in found.events] == sorted(e.detected_s for e in found.events)
     said = {*map(id, found.events), *map(id, found.faint)}
-    for (
-        claim
-    ) in claims:  # each is said or is evidence, or an output explains it, or hindsight tells of its rotor since before
-        outputs = (
-            o for o in claims if o.kind == OVERRIDE and o.onset_s - 1.0 <= claim.onset_s <= (o.end_s or 0.0) + 1.0
-        )
+    for claim in claims:  # each is said or is evidence, or an output explains it, or hindsight tells of its rotor since before
+        outputs = (o for o in claims if o.kind == OVERRIDE and o.onset_s - 1.0 <= claim.onset_s <= (o.end_s or 0.0) + 1.0)
         early = (h for h in claims if h.source is hindsight.SOURCE and h.rotors == claim.rotors)
         assert id(claim) in said or (claim.kind == LOSS and (any(outputs) or any(early)))
 
@@ -127,9 +123,7 @@ def test_outputs_that_left_together_are_the_logs_and_explain_losses():
     assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)
 
 
-EVIDENCE = [
-    residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (events.TRIM, unseen.STEPS, residual_evidence.RESIDUAL)
-]
+EVIDENCE = [residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (events.TRIM, unseen.STEPS, residual_evidence.RESIDUAL)]
 COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (from_takeoff.FLIGHTS, from_takeoff.VEHICLES)]
 
 

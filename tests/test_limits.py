@@ -169,9 +169,7 @@ def test_on_ticks_in_white_noise():
     assert 0.8 * best < limits.loss_sd(found.information[-1]) < 6.0 * best
     assert np.sqrt(found.variances[0]) == pytest.approx(sd, rel=0.15)
     assert np.all(found.information[:onset] == 0.0)
-    many = limits.on_ticks(
-        B, *(np.stack([a] * 2) for a in (u, y, ok, ok[:, 0], theta)), [1, 1], [onset] * 2, 0.1, batch=True
-    )
+    many = limits.on_ticks(B, *(np.stack([a] * 2) for a in (u, y, ok, ok[:, 0], theta)), [1, 1], [onset] * 2, 0.1, batch=True)
     np.testing.assert_allclose(many.information[1], found.information, rtol=1e-9)
 
 

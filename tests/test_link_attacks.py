@@ -52,11 +52,7 @@ def flown(more=(), change=lambda at, frame: [("a", frame)], which=FAULTY, first=
 
 
 def losses(alerts):
-    return [
-        (a["state"], a["event"]["rotors"], a["at"])
-        for a in alerts
-        if a.get("event", {}).get("kind") == "loss_of_effectiveness"
-    ]
+    return [(a["state"], a["event"]["rotors"], a["at"]) for a in alerts if a.get("event", {}).get("kind") == "loss_of_effectiveness"]
 
 
 def texts(alerts):
@@ -73,9 +69,7 @@ def undisturbed():
 
 def found_in_time(alerts, undisturbed):
     told = losses(alerts)
-    assert told and all(rotors == [2] for _, rotors, _ in told) and "withdrawn" not in {state for state, *_ in told}, (
-        told
-    )
+    assert told and all(rotors == [2] for _, rotors, _ in told) and "withdrawn" not in {state for state, *_ in told}, told
     assert told[0][0] == "announced" and told[0][2] == pytest.approx(undisturbed, abs=0.2)
 
 
@@ -143,9 +137,7 @@ def test_an_attitude_without_outputs_wins_nothing(undisturbed):
 
 def test_a_path_that_keeps_only_the_heartbeats_does_not_hide_that_the_other_is_gone():
     alerts, _link = flown(beats("b"), lambda at, frame: [("a", frame)] if at < 15.0 or at > 34.0 else [])
-    (gone,) = [
-        a for a in alerts if "no motor outputs and angular rates that can be used have arrived" in a.get("text", "")
-    ]
+    (gone,) = [a for a in alerts if "no motor outputs and angular rates that can be used have arrived" in a.get("text", "")]
     assert gone["missing"] == ["outputs", "rates"] and gone["at"] < 25.0
     (again,) = [a for a in alerts if "arriving now" in a.get("text", "")]
     assert 34.0 < again["at"] < 35.0
@@ -173,9 +165,7 @@ def test_of_two_paths_of_one_vehicle_either_may_fade_and_nothing_is_taken_twice(
 def test_a_vehicle_that_was_silent_is_not_said_to_lack_what_then_comes():
     polls = [(at, "c", b"\0") for at in np.arange(12.0, 24.0, 0.1).tolist()]
     alerts, _ = flown(polls, lambda at, frame: [] if 12.0 < at < 24.0 else [("a", frame)])
-    assert [t for t in texts(alerts) if "nothing has been received" in t] and not [
-        t for t in texts(alerts) if "outputs" in t
-    ]
+    assert [t for t in texts(alerts) if "nothing has been received" in t] and not [t for t in texts(alerts) if "outputs" in t]
 
 
 def test_who_is_contradicted_by_the_motion_gives_way_to_another_that_sends_too():
@@ -301,9 +291,7 @@ def test_outputs_that_jump_and_stay_pass_with_the_next_sample():
     assert outliers.take(outputs([0.12], [1890])).time.tolist() == [0.08, 0.12]
     extra = outliers.take(outputs([0.14, 0.16, 0.2], [1200, 1880, 1890]))
     assert extra.time.tolist() == [0.16, 0.2] and outliers.left_out == 1
-    assert len(outliers.take(outputs([0.24, 0.28, 0.32], [1300, 1890, 1890]))) == 3, (
-        "in the autopilot's own rhythm a peak is true"
-    )
+    assert len(outliers.take(outputs([0.24, 0.28, 0.32], [1300, 1890, 1890]))) == 3, "in the autopilot's own rhythm a peak is true"
     assert len(outliers.take(outputs([0.9], [1100]))) == 1, "after a pause nothing contradicts it"
 
 

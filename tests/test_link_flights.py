@@ -12,11 +12,7 @@ from rotorwatch import diagnose, logs
     [
         ("quadx_m1_mul0.90_hover", "asked for", 0.3),
         ("quadx_m1_mul0.90_hover", "4 Hz", 0.5),
-        (
-            "hexax_m3_mul0.80_square_wind",
-            "asked for, 3 s cut",
-            0.3,
-        ),  # taken for a landing, the gap hid the loss: rotor 4 was named
+        ("hexax_m3_mul0.80_square_wind", "asked for, 3 s cut", 0.3),  # taken for a landing, the gap hid the loss: rotor 4 was named
         ("quadx_m3_mul0.85_tlog", "asked for, 3 s cut", 0.3),  # the loss begins within the gap
     ],
 )

@@ -60,8 +60,7 @@ def test_no_sound_frame_is_lost_to_damage_before_it():
 
 
 @pytest.mark.parametrize(
-    "stride",
-    [b"\xfe", b"\xfd", b"\xfe\x6e", b"\xfe\x00", b"\xfd\xff\x00\x00\x00", b"\xfd\xff\x00\x01\x00\x01\x01\x1e\x00\x00"],
+    "stride", [b"\xfe", b"\xfd", b"\xfe\x6e", b"\xfe\x00", b"\xfd\xff\x00\x00\x00", b"\xfd\xff\x00\x01\x00\x01\x01\x1e\x00\x00"]
 )
 def test_work_grows_with_the_bytes_whatever_they_are(stride, monkeypatch):
     """A frame may seem to begin at every byte, at every second, at every fifth: not every one of them is summed up to its end."""
@@ -69,9 +68,7 @@ def test_work_grows_with_the_bytes_whatever_they_are(stride, monkeypatch):
     parser, wanted = frames.Frames(), packed(1, np.random.default_rng(6))
     data = stride * (200_000 // len(stride))
     parser.take(data[:1400])
-    monkeypatch.setattr(
-        frames, "sums", lambda frame, extra: (summed.append(len(frame) + frames.ATTEMPT), sums(frame, extra))[1]
-    )
+    monkeypatch.setattr(frames, "sums", lambda frame, extra: (summed.append(len(frame) + frames.ATTEMPT), sums(frame, extra))[1])
     for at in range(0, len(data), 1400):
         parser.take(data[at : at + 1400])
     assert sum(summed) < (frames.VAIN + 1) * len(data) + frames.SAVED
@@ -131,9 +128,7 @@ def test_outputs_of_both_banks():
     assert second is not None and second.values[0].tolist() == [1101.0, 1102.0, 1103.0, 1116.0]
     assert link.take((9, 10, 11, 16))["motors"].values[0].tolist() == [1009.0, 1010.0, 1011.0, 1016.0]
     link.put(servo(2_000_000, range(1001, 1017)))
-    assert tlog.readings(tlog.Outputs((9, 17)))["motors"][0].make(first) is None and any(
-        "both banks" in n for n in first.notes
-    )
+    assert tlog.readings(tlog.Outputs((9, 17)))["motors"][0].make(first) is None and any("both banks" in n for n in first.notes)
     mapped = {f"SERVO{16 + k}_FUNCTION": 32.0 + k for k in range(1, 5)}
     assert tlog.rotor_outputs(first, mapped).numbers == (17, 18, 19, 20)
 
@@ -238,9 +233,7 @@ def test_a_rotor_that_stands_is_said_by_its_esc():
             link.now_ms = getattr(link, "now_ms", 1000) + 100
             link.put(attitude(link.now_ms))
             link.put(servo(link.now_ms * 1000, [1500] * 4))
-            link.put(
-                mavlink.MAVLink_esc_telemetry_1_to_4_message([30] * 4, [1600] * 4, [500] * 4, [0] * 4, rpm, [1] * 4)
-            )
+            link.put(mavlink.MAVLink_esc_telemetry_1_to_4_message([30] * 4, [1600] * 4, [500] * 4, [0] * 4, rpm, [1] * 4))
             taken = link.take()
             said.extend(seen.examine(taken.get("esc"), taken.get("motors"), flying))
 

@@ -35,13 +35,7 @@ def accused(diagnosis):
 
 @pytest.mark.parametrize("kind", ["square", "hover"])
 @pytest.mark.parametrize(
-    "frame, rows",
-    [
-        ("quad-x", (2, 1, 0, 3)),
-        ("quad-x", (1, 2, 3, 0)),
-        ("hexa-x", (3, 0, 1, 2, 4, 5)),
-        ("hexa-x", (2, 1, 0, 3, 4, 5)),
-    ],
+    "frame, rows", [("quad-x", (2, 1, 0, 3)), ("quad-x", (1, 2, 3, 0)), ("hexa-x", (3, 0, 1, 2, 4, 5)), ("hexa-x", (2, 1, 0, 3, 4, 5))]
 )
 def test_outputs_in_another_order(frame, rows, kind):
     flight = flown(frame, kind)
@@ -77,12 +71,7 @@ def test_a_frame_that_did_not_fly(frame, kind):
 
 
 @pytest.mark.parametrize(
-    "parameters",
-    [
-        {"MOT_PWM_MIN": 500.0, "MOT_PWM_MAX": 2000.0},
-        {"MOT_PWM_MIN": 1300.0, "MOT_PWM_MAX": 2000.0},
-        {"MOT_THST_EXPO": 0.0},
-    ],
+    "parameters", [{"MOT_PWM_MIN": 500.0, "MOT_PWM_MAX": 2000.0}, {"MOT_PWM_MIN": 1300.0, "MOT_PWM_MAX": 2000.0}, {"MOT_THST_EXPO": 0.0}]
 )
 def test_a_range_or_a_curve_that_did_not_fly(parameters):
     flight = flown()
@@ -94,10 +83,7 @@ def test_a_range_or_a_curve_that_did_not_fly(parameters):
 def test_one_end_of_the_range_is_no_range():
     flight = flown()
     cut = {k: v for k, v in flight.parameters.items() if not k.startswith("MOT_PWM")}
-    known, one_end = (
-        diagnose(replace(flight, parameters=cut)),
-        diagnose(replace(flight, parameters={**cut, "MOT_PWM_MIN": 500.0})),
-    )
+    known, one_end = (diagnose(replace(flight, parameters=cut)), diagnose(replace(flight, parameters={**cut, "MOT_PWM_MIN": 500.0})))
     assert one_end.headline == known.headline
 
 
@@ -116,9 +102,7 @@ def test_outputs_of_a_late_clock(seconds):
     flight = flown()
     answer = diagnose(with_signals(flight, motors=later(flight["motors"], seconds)))
     assert accused(answer) == {2}
-    assert any(
-        f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'earlier'} than the rate" in w for w in answer.warnings
-    )
+    assert any(f"{abs(seconds):.2f} s {'later' if seconds > 0 else 'earlier'} than the rate" in w for w in answer.warnings)
 
 
 @pytest.mark.parametrize("seconds", [0.3, -0.3, 1.0])
@@ -133,9 +117,7 @@ def test_a_clock_of_the_outputs_that_steps(seconds):
     assert [round(lag.seconds, 2) for lag in late] == [0.0, seconds] and abs(late[1].start - 25.0) < 4.0
 
 
-@pytest.mark.parametrize(
-    "frame, kind, loss", [("quad-x", "square", 0.3), ("quad-x", "hover", 0.0), ("hexa-x", "square", 1.0)]
-)
+@pytest.mark.parametrize("frame, kind, loss", [("quad-x", "square", 0.3), ("quad-x", "hover", 0.0), ("hexa-x", "square", 1.0)])
 def test_sound_logs_keep_their_clock_and_their_order(frame, kind, loss):
     flight = flown(frame, kind, loss)
     vehicle, air = airframes.identify(flight), airborne(flight)
@@ -181,9 +163,7 @@ def test_rates_wanted_without_a_gyro():
     assert diagnose(with_signals(flight, gyro=None, rates=None, rates_wanted=wanted)).verdict != "healthy"
 
 
-@pytest.mark.parametrize(
-    "axes, signs", [((1, 0, 2), (1, 1, 1)), ((0, 2, 1), (1, 1, 1)), ((0, 1, 2), (-1, 1, 1)), ((1, 2, 0), (1, 1, 1))]
-)
+@pytest.mark.parametrize("axes, signs", [((1, 0, 2), (1, 1, 1)), ((0, 2, 1), (1, 1, 1)), ((0, 1, 2), (-1, 1, 1)), ((1, 2, 0), (1, 1, 1))])
 @pytest.mark.parametrize("missing", [(), ("attitude",)])
 def test_axes_of_the_gyro(axes, signs, missing):
     flight = with_signals(flown(), **dict.fromkeys(missing))
@@ -212,9 +192,7 @@ def test_records_of_two_flights(every):
         time = np.concatenate([a.time, b.time[rows] + 1e-4])
         by_time = np.argsort(time, kind="stable")
         return a.with_arrays(
-            time[by_time],
-            np.concatenate([a.values, b.values[rows]])[by_time],
-            np.concatenate([a.valid, b.valid[rows]])[by_time],
+            time[by_time], np.concatenate([a.values, b.values[rows]])[by_time], np.concatenate([a.valid, b.valid[rows]])[by_time]
         )
 
     answer = diagnose(with_signals(one, **{n: merged(one[n], other[n]) for n in one.signals if n in other.signals}))

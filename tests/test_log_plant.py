@@ -81,9 +81,7 @@ def test_gains_come_from_the_teacher_and_trims_from_the_hop():
     B = geometry()
     (hop,) = log_plant.hops(ticks(B), B, dynamics())
     assert np.allclose(np.diag(hop.parameters["J"])[:2], G[:2], rtol=1e-12)
-    assert (
-        np.allclose(hop.parameters["tau_0"][:2], -BIAS[:2], atol=1e-9) and abs(hop.parameters["F_0"] + BIAS[3]) < 1e-9
-    )
+    assert np.allclose(hop.parameters["tau_0"][:2], -BIAS[:2], atol=1e-9) and abs(hop.parameters["F_0"] + BIAS[3]) < 1e-9
     assert hop.u.shape == (220, 4) and hop.y.shape == (220, 4) and (hop.rows == np.arange(80, 300)).all()
     assert hop.system.n_theta == 4
 
@@ -304,10 +302,7 @@ def test_a_published_methods_wrench_is_weighed_as_the_default_estimator_weighs_a
     hyp = list_hypotheses(n)
     p, ask = made(Plant, rotors=n, effect=B), made(Asked, hi=np.ones(n), full=2.0)
     for _ in range(5):
-        away, scatter = (
-            B @ (0.4 * rng.random(n) * (rng.random(n) < 0.4)) + 0.05 * rng.standard_normal(4),
-            np.full(4, 0.02**2),
-        )
+        away, scatter = (B @ (0.4 * rng.random(n) * (rng.random(n) < 0.4)) + 0.05 * rng.standard_normal(4), np.full(4, 0.02**2))
         factors, sizes = map(np.asarray, rule.evidence(away, scatter))
         common = np.array([0.0, 0.0, 0.0, (n * decide.COMMON_SD) ** 2])
         w = 1.0 / (scatter + common + decide.TURNED**2 * (away @ away) / 4.0)
@@ -323,9 +318,7 @@ def test_a_published_methods_wrench_is_weighed_as_the_default_estimator_weighs_a
                     free.loss(ask, *who, jump)
                 else:
                     pair(window, ask, *who, jump)
-                assert factors[h] == pytest.approx(float(logs(jump.nats, jump.weight)), rel=1e-6, abs=1e-6), hyp.names[
-                    h
-                ]
+                assert factors[h] == pytest.approx(float(logs(jump.nats, jump.weight)), rel=1e-6, abs=1e-6), hyp.names[h]
                 assert sizes[h] == pytest.approx([jump.size, jump.other_size], abs=1e-6), hyp.names[h]
         steps(window, [1.0] * 4, 1.0, 0, nats, weight)
         assert factors[-len(nats) :] == pytest.approx(logs(nats, weight), rel=1e-9)

@@ -96,15 +96,7 @@ def test_python_alone_decodes_the_same(name, monkeypatch):
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the flight logs for tests are not here (../shared/flights)")
 @pytest.mark.parametrize(
-    "name",
-    [
-        "LOG00017.BFL",
-        "LOG00001.BFL",
-        "LOG00027.BFL",
-        "Chameleon_3_1_7.BFL",
-        "Hiro_highP_highD.BFL",
-        "gimbal-ghost-btfl_002.bbl",
-    ],
+    "name", ["LOG00017.BFL", "LOG00001.BFL", "LOG00027.BFL", "Chameleon_3_1_7.BFL", "Hiro_highP_highD.BFL", "gimbal-ghost-btfl_002.bbl"]
 )
 def test_real_vehicles_turn_as_their_frame_says(name):
     """Angular acceleration goes with the torque that the frame makes of the outputs, in all axes, whichever way its motors turn."""
@@ -120,11 +112,7 @@ def test_real_vehicles_turn_as_their_frame_says(name):
     def means(x):
         return x[: len(x) // step * step].reshape(-1, step, *x.shape[1:]).mean(axis=1)
 
-    rate, torque, least = (
-        means(gyro.values),
-        means(thrust @ craft.effectiveness()[:3].T),
-        means(motors.values).min(axis=1),
-    )
+    rate, torque, least = (means(gyro.values), means(thrust @ craft.effectiveness()[:3].T), means(motors.values).min(axis=1))
     driven = least[1:] > craft.curve.u_min + 0.03
     for axis in range(3):
         between = 0.5 * (torque[1:, axis] + torque[:-1, axis])
@@ -206,10 +194,7 @@ def sessions(draw):
             bits.append(ENCODES[encode])
     time = Field("time", 0, writer.ZERO, writer.UNSIGNED, writer.LINE, writer.SIGNED)
     layout += [time, Field("loopIteration", 0, writer.ZERO, writer.UNSIGNED, writer.INC, writer.NONE)]
-    slow = [
-        Field("flightModeFlags", 0, writer.ZERO, writer.UNSIGNED),
-        Field("failsafePhase", 0, writer.ZERO, writer.SIGNED),
-    ]
+    slow = [Field("flightModeFlags", 0, writer.ZERO, writer.UNSIGNED), Field("failsafePhase", 0, writer.ZERO, writer.SIGNED)]
     log = Log(layout, slow, settings={"minthrottle": 1070, "vbatref": 1600, "motorOutput": "138,2047"})
     start, made = draw(st.sampled_from([0, 2**31 - 5000, 2**32 - 5000])), []
     for k in range(draw(st.integers(1, 70))):
@@ -236,18 +221,12 @@ def test_what_is_written_is_read(pair, native):
 
 def simple(count=100, start=1000, step=500, gyro=None, more=()):
     """A log with a number that moves."""
-    log = Log(
-        [TIME, Field("gyroADC[0]", 1, writer.ZERO, writer.SIGNED, writer.AVERAGE, writer.SIGNED), *more],
-        **{"slow": SLOW},
-    )
+    log = Log([TIME, Field("gyroADC[0]", 1, writer.ZERO, writer.SIGNED, writer.AVERAGE, writer.SIGNED), *more], **{"slow": SLOW})
     gyro = gyro if gyro is not None else np.arange(count) * 3 - 50
     return writer.fly(log, [[(start + step * k) % 2**32, int(gyro[k]), *[0] * len(more)] for k in range(count)])
 
 
-SLOW = [
-    Field("flightModeFlags", 0, writer.ZERO, writer.UNSIGNED),
-    *(Field(n, 0, writer.ZERO, writer.TAG2_3) for n in "abc"),
-]
+SLOW = [Field("flightModeFlags", 0, writer.ZERO, writer.UNSIGNED), *(Field(n, 0, writer.ZERO, writer.TAG2_3) for n in "abc")]
 
 
 def test_slow_gps_home_and_event_frames(way):
@@ -273,15 +252,9 @@ def test_slow_gps_home_and_event_frames(way):
     one = decoded(log)
     assert (one.corrupt, one.garbage) == (0, 0)
     assert one.time.tolist() == [2**32 - 700, 2**32 - 200, 2**32 + 300]
-    assert numbers(one.slow, ["flightModeFlags", "a", "b"]).tolist()[0] == [3, 0, 1] and one.slow.before.tolist() == [
-        0,
-        3,
-    ]
+    assert numbers(one.slow, ["flightModeFlags", "a", "b"]).tolist()[0] == [3, 0, 1] and one.slow.before.tolist() == [0, 3]
     assert one.slow.columns["flightModeFlags"][1] == 2**32 - 1
-    assert numbers(one.gps, ["GPS_coord[0]", "GPS_coord[1]"]).tolist() == [
-        [470000123, -80000321],
-        [469999999, -79999999],
-    ]
+    assert numbers(one.gps, ["GPS_coord[0]", "GPS_coord[1]"]).tolist() == [[470000123, -80000321], [469999999, -79999999]]
     assert one.clock(one.gps.columns["time"], one.gps.before).tolist() == [2**32 - 400, 2**32 + 400]
     assert one.events[:, 1].tolist() == [0, 30, 13, 15, 255]
     assert one.events[1, 3:].tolist() == [5, 1] and one.events[2, 3:].tolist() == [7, -120]
@@ -304,9 +277,7 @@ def test_more_frames_than_the_buffers_hold(way, monkeypatch):
 
 def test_loops_are_counted_as_the_header_says(way):
     for interval, counted in (((32, 1, 4), [0, 4, 8, 12]), ((8, 1, 4), [0, 4, 8, 12]), ((6, 2, 3), [0, 2, 3, 5, 6, 8])):
-        log = Log(
-            [Field("loopIteration", 0, writer.ZERO, writer.UNSIGNED, writer.INC, writer.NONE), TIME], interval=interval
-        )
+        log = Log([Field("loopIteration", 0, writer.ZERO, writer.UNSIGNED, writer.INC, writer.NONE), TIME], interval=interval)
         for k, loop in enumerate(counted):
             log.add("I" if loop % interval[0] == 0 else "P", [loop, 1000 * k])
         assert decoded(log).main.columns["loopIteration"].tolist() == counted, interval
@@ -347,9 +318,7 @@ def test_a_pause_that_the_firmware_tells_is_believed_at_once(way):
 
 def test_truncated_anywhere_it_is_read_or_refused_in_a_sentence(tmp_path, amount):
     log = writer.betaflight()
-    writer.fly(
-        log, writer.rows(log, 60, time=np.arange(60) * 1000 + 5000, motor_0=np.arange(60) + 300, accSmooth_2=2048)
-    )
+    writer.fly(log, writer.rows(log, 60, time=np.arange(60) * 1000 + 5000, motor_0=np.arange(60) + 300, accSmooth_2=2048))
     data = log.bytes()
     path, counts = tmp_path / "cut.bbl", []
     for end in range(0, len(data), amount(17, 7)):
@@ -390,18 +359,12 @@ def test_a_header_that_is_partly_damaged_leaves_what_it_can(file):
     log = small(writer.betaflight(), 100)
     log.add("S", [0, 0, 0, 1, 1])
     text = log.header().decode()
-    without = re.sub("(?m)^(H Field P encoding:.*),0$", r"\1,8", text).replace(
-        "H Field S encoding:1", "H Field S encoding:x"
-    )
+    without = re.sub("(?m)^(H Field P encoding:.*),0$", r"\1,8", text).replace("H Field S encoding:1", "H Field S encoding:x")
     flight = logs.read(file("x.bbl", without.encode() + log.data))
-    assert len(flight["motors"]) == 4 and "fields of P and S frames is damaged" in " ".join(
-        flight.warnings
-    )  # I frames alone
+    assert len(flight["motors"]) == 4 and "fields of P and S frames is damaged" in " ".join(flight.warnings)  # I frames alone
     flight = logs.read(file("y.bbl", text.replace("H Product:B", "H Pr?duct:B").encode() + log.data + writer.END))
     assert len(flight["motors"]) == 100 and flight.warnings == ()
-    assert [
-        k.rpartition("#")[2] for k in logs.sessions(file("z.bbl", three().replace(b"H Product", b"H product", 1)))
-    ] == ["2", "3", "1"]
+    assert [k.rpartition("#")[2] for k in logs.sessions(file("z.bbl", three().replace(b"H Product", b"H product", 1)))] == ["2", "3", "1"]
 
 
 def test_files_without_a_session_or_frames(tmp_path):
@@ -440,12 +403,7 @@ def test_frames_of_one_byte_do_not_fill_memory(way, monkeypatch):
 
 # Flights
 
-ORDER = (
-    3,
-    0,
-    1,
-    2,
-)  # ArduPilot's motors 1 .. 4 of a quad X in Betaflight's order: rear right, front right, rear left, front left
+ORDER = (3, 0, 1, 2)  # ArduPilot's motors 1 .. 4 of a quad X in Betaflight's order: rear right, front right, rear left, front left
 MIX = np.array([[-1, 1, -1], [-1, -1, 1], [1, 1, 1], [1, -1, -1]])  # Betaflight's: right, nose down, left
 
 
@@ -496,27 +454,16 @@ def file(tmp_path):
 
 def test_a_flight_comes_back_in_our_units_and_axes(file):
     flight, known = logs.read(file("hover.bbl", hover())), origin()
-    assert (flight.format, flight.autopilot, flight.firmware) == (
-        "Blackbox",
-        "Betaflight",
-        "Betaflight 4.5.1 (77d01ba3b) STM32F7X2",
-    )
+    assert (flight.format, flight.autopilot, flight.firmware) == ("Blackbox", "Betaflight", "Betaflight 4.5.1 (77d01ba3b) STM32F7X2")
     assert flight.warnings == () or all("do not fit" in w or "does not fit" in w for w in flight.warnings)
     assert flight.start_us == 7_000_000 and flight.duration == pytest.approx(25.0, abs=0.01)
-    for name, least in (
-        ("gyro", np.radians(0.051)),
-        ("rates", np.radians(0.051)),
-        ("rates_wanted", np.radians(0.051)),
-        ("accel", 0.003),
-    ):
+    for name, least in (("gyro", np.radians(0.051)), ("rates", np.radians(0.051)), ("rates_wanted", np.radians(0.051)), ("accel", 0.003)):
         source = known["gyro" if name != "accel" else name]
         there = np.stack([np.interp(flight[name].time, source.time, c) for c in source.values.T], axis=1)
         assert np.abs(flight[name].values - there)[flight[name].valid.all(axis=1)].max() <= least, name
     motors = flight["motors"]
     assert motors.unit == "1" and (flight.facts["motor_low"], flight.facts["motor_high"]) == (0.0555, 1.0)
-    pulses = np.stack([np.interp(motors.time, known["motors"].time, c) for c in known["motors"].values.T], axis=1)[
-        :, ORDER
-    ]
+    pulses = np.stack([np.interp(motors.time, known["motors"].time, c) for c in known["motors"].values.T], axis=1)[:, ORDER]
     np.testing.assert_allclose(motors.values, np.maximum((1 + 1.999 * (pulses - 1000)) / 2000, 0.0555), atol=0.0003)
     assert flight["battery"].values[:, 1] == pytest.approx(12.34) and flight["battery"].values[0, 0] == pytest.approx(
         known["battery"].values[0, 0], abs=0.3
@@ -530,10 +477,7 @@ def test_a_flight_comes_back_in_our_units_and_axes(file):
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_frame_is_what_the_outputs_are_mixed_for(file, turned):
     craft = airframes.identify(logs.read(file("x.bbl", mixed("quad-x", turned))))
-    assert (
-        craft.name == f"betaflight-quad-x{'-reversed' if turned else ''}"
-        and "identified from the mixing" in craft.assumptions[0]
-    )
+    assert craft.name == f"betaflight-quad-x{'-reversed' if turned else ''}" and "identified from the mixing" in craft.assumptions[0]
     assert [r.spin for r in craft.rotors] == ([1, -1, -1, 1] if turned else [-1, 1, 1, -1])
     assert [(r.x > 0, r.y > 0) for r in craft.rotors] == [(False, True), (True, True), (False, False), (True, False)]
     assert (craft.curve.u_min, craft.curve.u_max, craft.curve.known) == (0.0555, 1.0, False)
@@ -546,10 +490,7 @@ def test_a_calm_flight_does_not_show_its_mixer(file):
 
 def test_a_motor_that_is_off_all_the_time_ends_nothing(file):
     log = writer.betaflight()
-    made = [
-        [*row[:-1], 0]
-        for row in writer.rows(log, 3000, time=np.arange(3000) * 1000, **{f"motor_{k}": 1200 for k in range(3)})
-    ]
+    made = [[*row[:-1], 0] for row in writer.rows(log, 3000, time=np.arange(3000) * 1000, **{f"motor_{k}": 1200 for k in range(3)})]
     flight = logs.read(file("x.bbl", writer.fly(log, made).bytes()))
     assert not info(flight)["ready"]
 
@@ -586,9 +527,7 @@ def airframes_factors(frame):
     return betaflight._factors(betaflight.FRAMES[frame])
 
 
-@pytest.mark.parametrize(
-    "frame", ["quad-x", "quad-plus", "hexa-x", "hexa-plus", "y6", "octa-x8", "octa-x", "octa-plus"]
-)
+@pytest.mark.parametrize("frame", ["quad-x", "quad-plus", "hexa-x", "hexa-plus", "y6", "octa-x8", "octa-x", "octa-plus"])
 @pytest.mark.parametrize("turned", [False, True])
 def test_frames_are_told_apart(file, frame, turned):
     craft = airframes.identify(logs.read(file("x.bbl", mixed(frame, turned))))
@@ -616,16 +555,8 @@ def small(log, count=60, **columns):
 
 
 def test_revolutions_of_the_motors(file):
-    log = writer.betaflight(
-        more=[Field(f"eRPM[{k}]", 0, writer.ZERO, writer.UNSIGNED) for k in range(4)], motor_poles=12
-    )
-    writer.fly(
-        log,
-        (
-            [*row[:-8], 900, 1000, 1100, 0, *row[-4:]]
-            for row in writer.rows(log, 60, time=np.arange(60) * 1000, motor_0=600)
-        ),
-    )
+    log = writer.betaflight(more=[Field(f"eRPM[{k}]", 0, writer.ZERO, writer.UNSIGNED) for k in range(4)], motor_poles=12)
+    writer.fly(log, ([*row[:-8], 900, 1000, 1100, 0, *row[-4:]] for row in writer.rows(log, 60, time=np.arange(60) * 1000, motor_0=600)))
     esc = logs.read(file("x.bbl", log.bytes()))["esc"]
     assert esc.columns[:4] == ("speed1", "speed2", "speed3", "speed4")
     np.testing.assert_allclose(esc.values[5, :3], np.array([90_000, 100_000, 110_000]) / 6 * 2 * np.pi / 60)
@@ -633,19 +564,10 @@ def test_revolutions_of_the_motors(file):
 
 def test_attitude_velocity_and_position_of_inav(file):
     more = [Field(f"{name}[{k}]") for name in ("attitude", "navPos", "navVel", "axisRate") for k in range(3)]
-    log = writer.betaflight(
-        more=more, **{"Firmware type": "INAV", "Firmware revision": "INAV 7.1.2 (abc) MATEKF405", "minthrottle": 1050}
-    )
+    log = writer.betaflight(more=more, **{"Firmware type": "INAV", "Firmware revision": "INAV 7.1.2 (abc) MATEKF405", "minthrottle": 1050})
     log.main = [f for f in log.main if not f.name.startswith("setpoint")]
     log.numbers |= {"motorOutput": "1050,1950", "maxthrottle": 1950}
-    values = {
-        "attitude_0": 100,
-        "attitude_1": 200,
-        "attitude_2": 900,
-        "navPos_0": 100,
-        "navPos_1": 200,
-        "navPos_2": 300,
-    }
+    values = {"attitude_0": 100, "attitude_1": 200, "attitude_2": 900, "navPos_0": 100, "navPos_1": 200, "navPos_2": 300}
     values |= {"navVel_0": 10, "navVel_1": 20, "navVel_2": 30, "axisRate_0": 90, "axisRate_1": 90, "axisRate_2": 90}
     flight = logs.read(file("x.txt", small(log, vbatLatest=1600, **values).bytes()))
     assert flight.autopilot == "INAV" and flight["motors"].unit == "us" and flight.facts["motor_high"] == 1950
@@ -666,9 +588,7 @@ def test_attitude_velocity_and_position_of_inav(file):
     ],
 )  # fmt: skip
 def test_why_the_motors_were_stopped_by_the_numbers_of_the_firmware(file, firmware, number, why):
-    log = small(
-        writer.betaflight(**{"Firmware type": firmware.split()[0], "Firmware revision": f"{firmware} (abc) BOARD"})
-    )
+    log = small(writer.betaflight(**{"Firmware type": firmware.split()[0], "Firmware revision": f"{firmware} (abc) BOARD"}))
     log.event(15, number)
     flight = logs.read(file("x.bbl", log.bytes()))
     assert [m.text for m in flight.messages if m.text.startswith("disarmed:")] == [f"disarmed: {why}"]
@@ -707,14 +627,8 @@ def test_velocity_from_gps_frames(file):
 
 def test_places_by_gps_frames_and_height_by_barometer(file):
     """Betaflight from 4.0 logs altitudes in 0.1 m, INAV in m; of others the unit is not certain."""
-    for revision, unit in (
-        ("Betaflight 4.5.1 (abc) X", 0.1),
-        ("INAV 7.1.2 (abc) X", 1.0),
-        ("Betaflight 3.4.0 (abc) X", np.nan),
-    ):
-        log = writer.betaflight(
-            more=[Field("BaroAlt")], **{"Firmware revision": revision, "Firmware type": revision[:4]}
-        )
+    for revision, unit in (("Betaflight 4.5.1 (abc) X", 0.1), ("INAV 7.1.2 (abc) X", 1.0), ("Betaflight 3.4.0 (abc) X", np.nan)):
+        log = writer.betaflight(more=[Field("BaroAlt")], **{"Firmware revision": revision, "Firmware type": revision[:4]})
         log.home = [Field("GPS_home[0]"), Field("GPS_home[1]")]
         log.gps = [
             Field("time", 0, writer.MAINTIME, writer.UNSIGNED), Field("GPS_numSat", 0),
@@ -729,9 +643,7 @@ def test_places_by_gps_frames_and_height_by_barometer(file):
         gps = flight["gps"]
         assert gps.source == "GPS_coord" and gps.valid[:, 0].tolist() == [False, True, True, True]
         assert gps.values[3, [0, 1, 3]] == pytest.approx([2 * 11.118, -2 * 7.604, 2.5], abs=0.01)
-        assert gps.valid[3, 2] == np.isfinite(unit) and (
-            not gps.valid[3, 2] or gps.values[3, 2] == pytest.approx(-100 * unit)
-        )
+        assert gps.valid[3, 2] == np.isfinite(unit) and (not gps.valid[3, 2] or gps.values[3, 2] == pytest.approx(-100 * unit))
         assert flight["baro"].values[0, 0] == pytest.approx(12.34) and len(flight["baro"]) <= 60
         assert flight.duration == pytest.approx(0.059), "what is only shown does not prolong the flight"
 
@@ -756,9 +668,7 @@ def test_flight_modes_have_names(file):
     log.add("S", [1, 0, 0, 0, 0])
     small(log, 4)
     log.event(30, 5, 1)
-    assert [m.text for m in logs.read(file("z.bbl", log.bytes())).messages if m.kind == "mode"] == [
-        "modes 0x5, before 0x1"
-    ]
+    assert [m.text for m in logs.read(file("z.bbl", log.bytes())).messages if m.kind == "mode"] == ["modes 0x5, before 0x1"]
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the flight logs for tests are not here (../shared/flights)")
@@ -777,9 +687,7 @@ def test_the_gps_of_a_real_flight():
      ({"vbatcellvoltage": "33,35,43", "vbatref": 1840, "vbatscale": 110}, 1840, 16.31)],
 )  # fmt: skip
 def test_voltages_of_all_ages(file, settings_, raw, volts):
-    battery = logs.read(
-        file("x.bbl", small(writer.betaflight(**settings_), vbatLatest=raw, amperageLatest=500).bytes())
-    )["battery"]
+    battery = logs.read(file("x.bbl", small(writer.betaflight(**settings_), vbatLatest=raw, amperageLatest=500).bytes()))["battery"]
     assert battery.values[5, 0] == pytest.approx(volts, abs=0.01)
     assert battery.valid[5, 1] == (settings_.get("vbatref", 0) < 700)
 
@@ -805,9 +713,7 @@ def test_the_end_is_missing_and_frames_are_damaged(file):
 
 
 def three() -> bytes:
-    first, second, third = (
-        small(writer.betaflight(**{"Craft name": f"nr {n}"}), count) for n, count in ((1, 40), (2, 90), (3, 60))
-    )
+    first, second, third = (small(writer.betaflight(**{"Craft name": f"nr {n}"}), count) for n, count in ((1, 40), (2, 90), (3, 60)))
     return first.bytes() + b"\xff" * 100 + second.bytes(end=False) + third.bytes()
 
 

@@ -13,9 +13,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.logs import crazyflie
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights" / "crazypad"
-needs_flights = pytest.mark.skipif(
-    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
-)
+needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing")
 
 
 def usd(rows, variables, version=2, other=()):
@@ -134,9 +132,7 @@ def test_truncation_and_damage_anywhere_is_read_or_refused(amount):
 
 
 def test_recognised_by_content_only():
-    assert crazyflie.sniff(usd([ROW], VARIABLES)[:100], "") and not crazyflie.sniff(
-        b"\xbc\x02\x00\x01\x07\x00", "x.usd"
-    )
+    assert crazyflie.sniff(usd([ROW], VARIABLES)[:100], "") and not crazyflie.sniff(b"\xbc\x02\x00\x01\x07\x00", "x.usd")
     with pytest.raises(LogError, match="fixedFrequency"):
         crazyflie.read(bytes([0xBC, 2, 0, 1, 0]) + b"\0\0mode\0\0\0" + bytes(20), "x.usd")
 
@@ -159,8 +155,6 @@ def test_angles_in_degrees_turn_as_the_firmware_says():
         variables = [*VARIABLES, *((f"stateEstimate.{n}", "f") for n in names)]
         q = crazyflie.read(usd([(*ROW, *angles)] * 9, variables), "x.usd")["attitude"].values[0]
         assert q[0] == pytest.approx(np.sqrt(0.5)) and q[axis] == pytest.approx(np.sqrt(0.5))
-    flight = crazyflie.read(
-        usd([(*ROW, 0.0, -90.0)] * 9, [*VARIABLES, ("stateEstimate.roll", "f"), ("stateEstimate.yaw", "f")]), "x.usd"
-    )
+    flight = crazyflie.read(usd([(*ROW, 0.0, -90.0)] * 9, [*VARIABLES, ("stateEstimate.roll", "f"), ("stateEstimate.yaw", "f")]), "x.usd")
     assert flight["attitude"].values[0] == pytest.approx([np.sqrt(0.5), 0, 0, np.sqrt(0.5)])
     assert any("pitch was not logged" in w for w in flight.warnings)

@@ -18,9 +18,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.logs import container, px4_topics
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
-needs_flights = pytest.mark.skipif(
-    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
-)
+needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing")
 
 TABLE = b"time_s,motor_1,motor_2,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s\n" + b"".join(
     b"%.2f,0.5,0.5,0.1,0.2,0.3\n" % (k / 100) for k in range(500)

@@ -12,9 +12,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.logs import px4_outputs, px4_reports, px4_topics, series, ulog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
-pytestmark = pytest.mark.skipif(
-    not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing"
-)
+pytestmark = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the folder of test flights, ../shared/flights, is missing")
 REFERENCE = FLIGHTS / "corrupt" / "intact_reference.ulg"
 
 
@@ -66,9 +64,7 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
     monkeypatch.setattr(pyulog, "ULog", spy)
     flight = logs.read(FLIGHTS / "px4-rflymad" / "TestCase_4_1000000003.ulg.xz")
     names = [n for o in asked for n in o.get("message_name_filter_list", [])]
-    assert set(names) == {*px4_topics.TOPICS, px4_reports.EVENTS} and all(
-        o.get("parse_header_only") or names for o in asked
-    )
+    assert set(names) == {*px4_topics.TOPICS, px4_reports.EVENTS} and all(o.get("parse_header_only") or names for o in asked)
     assert "rfly_ctrl_lxl" not in names and not [n for n in names if "groundtruth" in n]
     assert flight.vehicle_type == "quadrotor" and flight.parameter_changes[0][1] == "COM_RCL_EXCEPT"
 
@@ -76,11 +72,7 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
 @pytest.mark.parametrize("degrees", [False, True])
 def test_the_gps_of_old_and_new_releases_in_metres(degrees):
     stamp = np.arange(4) * 200_000
-    north, east, up = (
-        np.array([46.0, 47.0, 47.0001, 47.0]),
-        np.array([7.0, 8.0, 8.0, 8.0001]),
-        np.array([0, 400.0, 410.0, 400.0]),
-    )
+    north, east, up = (np.array([46.0, 47.0, 47.0001, 47.0]), np.array([7.0, 8.0, 8.0, 8.0001]), np.array([0, 400.0, 410.0, 400.0]))
     names = ("latitude_deg", "longitude_deg", "altitude_msl_m") if degrees else ("lat", "lon", "alt")
     units = (1.0, 1.0, 1.0) if degrees else (1e7, 1e7, 1e3)
     place = {n: v if degrees else np.rint(v * u).astype(np.int32) for n, v, u in zip(names, (north, east, up), units)}
@@ -225,13 +217,7 @@ def outputs(*levels, n=50):
 def test_outputs_are_put_in_rotor_order_by_their_functions():
     found, _ = px4_topics.signals(
         topics(actuator_outputs=outputs(1500, 1400, 1300, 1200)),
-        {
-            "PWM_MAIN_FUNC1": 104,
-            "PWM_MAIN_FUNC2": 103,
-            "PWM_MAIN_FUNC3": 102,
-            "PWM_MAIN_FUNC4": 101,
-            "CA_ROTOR_COUNT": 4,
-        },
+        {"PWM_MAIN_FUNC1": 104, "PWM_MAIN_FUNC2": 103, "PWM_MAIN_FUNC3": 102, "PWM_MAIN_FUNC4": 101, "CA_ROTOR_COUNT": 4},
     )
     assert np.allclose(found["motors"].values.mean(axis=0), [1200, 1300, 1400, 1500], atol=20)
     assert found["motors"].source == "actuator_outputs" and found["motors"].unit == "us"
@@ -239,9 +225,7 @@ def test_outputs_are_put_in_rotor_order_by_their_functions():
 
 def test_the_instance_that_moves_has_the_motors():
     still = {k: v * 0 + 1500 for k, v in outputs(1500, 1500, 1500, 1500).items()}
-    found, _ = px4_topics.signals(
-        topics(actuator_outputs=still, actuator_outputs__1=outputs(1400, 1400, 1400, 1400)), {"MAV_TYPE": 2}
-    )
+    found, _ = px4_topics.signals(topics(actuator_outputs=still, actuator_outputs__1=outputs(1400, 1400, 1400, 1400)), {"MAV_TYPE": 2})
     assert found["motors"].source == "actuator_outputs[1]" and np.ptp(found["motors"].values) > 100
 
 
@@ -298,9 +282,7 @@ def test_uavcan_outputs_have_their_order_and_ends_from_the_parameters():
 def test_counts_that_look_like_pulses_are_told_by_the_parameters():
     """A light vehicle flies UAVCAN at 1300 to 2300 counts; without the parameters such values are pulses."""
     tables = topics(actuator_outputs=counts(0.22, 0.22, 0.22, 0.22, off=0, full=8191.0))
-    light = {
-        k: np.where(v > 0, 1800 + (v - v.mean()) * 0.5, 0.0) for k, v in tables.tables["actuator_outputs", 0].items()
-    }
+    light = {k: np.where(v > 0, 1800 + (v - v.mean()) * 0.5, 0.0) for k, v in tables.tables["actuator_outputs", 0].items()}
     light["timestamp"] = tables.tables["actuator_outputs", 0]["timestamp"]
     tables.tables["actuator_outputs", 0] = light
     functions = {f"UAVCAN_EC_FUNC{k}": 100 + k for k in range(1, 5)}
@@ -345,8 +327,7 @@ def test_a_failed_motor_is_a_gap_in_its_column_only():
 
 
 @pytest.mark.parametrize(
-    "fields, kind",
-    [({"system_type": 1}, 1), ({"is_vtol": 1, "vehicle_type": 1}, 22), ({"vehicle_type": 3}, 10), ({}, None)],
+    "fields, kind", [({"system_type": 1}, 1), ({"is_vtol": 1, "vehicle_type": 1}, 22), ({"vehicle_type": 3}, 10), ({}, None)]
 )
 def test_the_vehicle_status_says_what_kind_of_vehicle_it_is(fields, kind):
     status = {k: np.full(9, v) for k, v in {"arming_state": 2, "is_vtol": 0, "vehicle_type": 1, **fields}.items()}
@@ -434,9 +415,7 @@ def test_progress_of_reading_is_told():
     assert seen == sorted(seen) and 0.5 < seen[0] < 1.0 and seen[-1] == 1.0
 
 
-@pytest.mark.parametrize(
-    "volts, amps, valid", [(0.0, 3.0, [False, True]), (15.8, -1.0, [True, False]), (15.8, 0.0, [True, True])]
-)
+@pytest.mark.parametrize("volts, amps, valid", [(0.0, 3.0, [False, True]), (15.8, -1.0, [True, False]), (15.8, 0.0, [True, True])])
 def test_a_battery_that_is_not_measured_is_not_known(volts, amps, valid):
     fields = {"voltage_v": np.full(20, volts), "current_a": np.full(20, amps)}
     battery = px4_topics.signals(topics(battery_status=fields), {})[0]["battery"]
@@ -462,11 +441,7 @@ def reported(**tables):
 
 
 def test_flags_count_where_they_rise_in_flight():
-    flags = {
-        "manual_control_signal_lost": [1, 1, 0, 1],
-        "local_position_invalid": [1, 1, 1, 1],
-        "fd_motor_failure": [0, 0, 1, 1],
-    }
+    flags = {"manual_control_signal_lost": [1, 1, 0, 1], "local_position_invalid": [1, 1, 1, 1], "fd_motor_failure": [0, 0, 1, 1]}
     told = [(m.time, m.text) for m in reported(failsafe_flags=flags)]
     assert sorted(told) == [(2.0, "failure detector: motor"), (3.0, "manual control lost")]
 

@@ -76,9 +76,7 @@ def test_px4_messages_are_read_as_the_ulog_is(px4, plain, tmp_path, storage, def
     states = [(m.kind, m.text) for m in plain.messages if m.kind in ("armed", "landed", "mode")]
     assert [(m.kind, m.text) for m in flight.messages] == states
     assert any("--vehicle" in w for w in flight.warnings)
-    assert definitions or any(
-        "esc_status was left out: the bag does not carry its definition" in w for w in flight.warnings
-    )
+    assert definitions or any("esc_status was left out: the bag does not carry its definition" in w for w in flight.warnings)
 
 
 def test_the_diagnosis_is_that_of_the_ulog(bag, plain):
@@ -158,15 +156,10 @@ def test_mavros_is_turned_into_our_frames(arducopter, tmp_path, storage, definit
 def test_the_diagnosis_of_mavros_is_that_of_the_dataflash_log(arducopter, tmp_path):
     flight, rows = arducopter
     craft = airframes.identify(flight)
-    same = {
-        k: flight.signals[k]
-        for k in ("motors", "gyro", "accel", "rates", "attitude", "velocity", "position", "battery")
-    }
+    same = {k: flight.signals[k] for k in ("motors", "gyro", "accel", "rates", "attitude", "velocity", "position", "battery")}
     one = rw.diagnose(replace(flight, signals=same), vehicle=craft)
     two = rw.diagnose(ros2_bags.write(tmp_path / "flight", rows), vehicle=craft)
-    assert one.verdict == two.verdict == "fault" and [e.rotors for e in two.events] == [
-        e.rotors for e in one.events
-    ] == [(3,)]
+    assert one.verdict == two.verdict == "fault" and [e.rotors for e in two.events] == [e.rotors for e in one.events] == [(3,)]
     assert two.events[0].loss == pytest.approx(one.events[0].loss, abs=0.03)
 
 
@@ -197,9 +190,7 @@ def test_odometry_gives_the_same_velocity():
 def test_mavros_gives_parameters_where_they_were_recorded(arducopter, tmp_path):
     rows = arducopter[1]
     store = ros2_bags.types()
-    for k, (name, value) in enumerate(
-        (("FRAME_CLASS", 1), ("FRAME_TYPE", 1), ("SIM_SPEEDUP", 1), ("MOT_THST_EXPO", 0.61))
-    ):
+    for k, (name, value) in enumerate((("FRAME_CLASS", 1), ("FRAME_TYPE", 1), ("SIM_SPEEDUP", 1), ("MOT_THST_EXPO", 0.61))):
         kind = {"type": 2, "integer_value": value} if isinstance(value, int) else {"type": 3, "double_value": value}
         message = ros2_bags.blank(
             *(store, "mavros_msgs/msg/ParamEvent"),
@@ -297,10 +288,7 @@ def test_our_decoder_agrees_with_rosbags():
             for k, item in enumerate(m.esc_telemetry):
                 at = f"esc_telemetry[{k}]"
                 assert columns[f"{at}.rpm"][i] == item.rpm and columns[f"{at}.count"][i] == k
-                assert (
-                    columns[f"{at}.voltage"][i] == item.voltage
-                    and columns[f"{at}.header.stamp.sec"][i] == item.header.stamp.sec
-                )
+                assert columns[f"{at}.voltage"][i] == item.voltage and columns[f"{at}.header.stamp.sec"][i] == item.header.stamp.sec
                 assert columns[f"{at}.header.frame_id"][i] == item.header.frame_id
         assert np.isnan(columns["esc_telemetry[3].rpm"][[0, 1, 4]]).all()
 
@@ -358,31 +346,19 @@ def test_only_plain_tables_of_a_database_are_read(tmp_path):
                 bag_storage.read_sqlite(source, bag_storage.Bag(ros2._wanted, 1 << 28))
     bag = bag_storage.Bag(ros2._wanted, 1 << 28)
     bag_storage.read_sqlite(database(tmp_path / "x.db3", TOPICS, MESSAGES, ATTITUDE, defined), bag)
-    assert (
-        list(bag.topics) == ["/fmu/out/vehicle_attitude"] and bag.topics["/fmu/out/vehicle_attitude"].definition == ""
-    )
+    assert list(bag.topics) == ["/fmu/out/vehicle_attitude"] and bag.topics["/fmu/out/vehicle_attitude"].definition == ""
 
 
 def circular(path, topic):
     """A table of one row whose pages are each the child of another one seventy times, eight levels deep."""
-    data = bytearray(
-        database(
-            path, TOPICS, MESSAGES, ATTITUDE, f"INSERT INTO messages VALUES (1, {topic}, 1, x'00010000')"
-        ).read_bytes()
-    )
+    data = bytearray(database(path, TOPICS, MESSAGES, ATTITUDE, f"INSERT INTO messages VALUES (1, {topic}, 1, x'00010000')").read_bytes())
     with closing(sqlite3.connect(path)) as base:
         ((root,),) = base.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'")
     leaf, last = bytes(data[(root - 1) * 512 : root * 512]), len(data) // 512
     children, pages = range(last + 1, last + 9), {last + 8: leaf}
     for page, child in zip([root, *children], children):
         cells = b"".join(child.to_bytes(4, "big") + b"\x01" for _ in range(70))
-        head = (
-            b"\x05\0\0"
-            + (70).to_bytes(2, "big")
-            + (512 - len(cells)).to_bytes(2, "big")
-            + b"\0"
-            + child.to_bytes(4, "big")
-        )
+        head = b"\x05\0\0" + (70).to_bytes(2, "big") + (512 - len(cells)).to_bytes(2, "big") + b"\0" + child.to_bytes(4, "big")
         places = b"".join((512 - len(cells) + 5 * k).to_bytes(2, "big") for k in range(70))
         pages[page] = (head + places).ljust(512 - len(cells), b"\0") + cells
     data += bytes(512 * 8)
@@ -397,9 +373,7 @@ def circular(path, topic):
 def test_a_database_that_never_ends_is_given_up_and_lets_signals_in(tmp_path, topic, monkeypatch):
     path = circular(tmp_path / "x.db3", topic)
     assert path.stat().st_size < 20_000
-    with pytest.raises(
-        LogError, match="decompresses to more than 16 MB" if topic == 1 else "takes too long to read for its size"
-    ):
+    with pytest.raises(LogError, match="decompresses to more than 16 MB" if topic == 1 else "takes too long to read for its size"):
         bag_storage.read_sqlite(path, bag_storage.Bag(ros2._wanted, 1 << 24))
     monkeypatch.setattr(bag_storage, "STEPS_BESIDES", 1 << 60)
     if hasattr(signal, "setitimer"):
@@ -413,13 +387,7 @@ def mcap(*records):
     def text(value):
         return struct.pack("<I", len(value)) + value
 
-    known = (
-        3,
-        struct.pack("<H", 1)
-        + text(b"px4_msgs/msg/VehicleAttitude")
-        + text(b"ros2msg")
-        + text(b"uint64 timestamp\nfloat32[4] q"),
-    )
+    known = (3, struct.pack("<H", 1) + text(b"px4_msgs/msg/VehicleAttitude") + text(b"ros2msg") + text(b"uint64 timestamp\nfloat32[4] q"))
     channel = (4, struct.pack("<HH", 1, 1) + text(b"/fmu/out/vehicle_attitude") + text(b"cdr") + text(b""))
     whole = ((1, text(b"ros2") + text(b"")), known, channel, *records)
     return bag_storage.MCAP + b"".join(bytes([kind]) + struct.pack("<Q", len(data)) + data for kind, data in whole)
@@ -451,10 +419,7 @@ def test_what_an_mcap_file_unfolds_to_is_limited(monkeypatch):
     damaged += [(chunk("zstd", claims, 1000),), (message(claims),)]
     tracemalloc.start()
     try:
-        for records, words in [
-            *((r, "decompresses to more than 3 MB") for r in large),
-            *((r, "none could be read") for r in damaged),
-        ]:
+        for records, words in [*((r, "decompresses to more than 3 MB") for r in large), *((r, "none could be read") for r in damaged)]:
             with pytest.raises(LogError, match=words):
                 ros2.read(io.BytesIO(mcap(*records)).getbuffer(), "x.mcap")
         assert tracemalloc.get_traced_memory()[1] < 20 << 20

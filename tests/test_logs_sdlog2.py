@@ -45,13 +45,7 @@ def made(angles=False, step=0.02) -> bytes:
             codes, columns = "f" * 9, columns.split(",", 4)[4]
         log.define(name, codes, columns, type_)
     log.add("VER", b"PX4FMU_V2", b"8b81cf5c7ece0c228eaaea3e9d8e667fc4d21a06")
-    for name, value in {
-        "MAV_TYPE": 13,
-        "SYS_AUTOSTART": 6001,
-        "THR_MDL_FAC": 0.0,
-        "PWM_MIN": 1150,
-        "SIM_SPEED": 9,
-    }.items():
+    for name, value in {"MAV_TYPE": 13, "SYS_AUTOSTART": 6001, "THR_MDL_FAC": 0.0, "PWM_MIN": 1150, "SIM_SPEED": 9}.items():
         log.add("PARM", name.encode(), value)
 
     def at(signal, t):
@@ -62,10 +56,7 @@ def made(angles=False, step=0.02) -> bytes:
         t = k * step
         log.add("TIME", 100_000_000 + round(1e6 * t))
         w, x, y, z = at("attitude", t)
-        roll, yaw = (
-            np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-            np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-        )
+        roll, yaw = (np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)), np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
         gyro = at("gyro", t)
         log.add("ATT", *([] if angles else [w, x, y, z]), roll, pitch, yaw, *gyro, 0, 0, 0)

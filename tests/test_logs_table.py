@@ -119,9 +119,7 @@ def test_what_parquet_unfolds_to_is_limited(monkeypatch):
     real = ParquetFile(io.BytesIO(data)).metadata.row_group(0).column(0)
     told = {name: getattr(real, name) for name in ("data_page_offset", "has_dictionary_page", "total_compressed_size")}
     column = SimpleNamespace(num_values=3, **told)
-    lying = SimpleNamespace(
-        num_row_groups=1, num_columns=1, row_group=lambda _: SimpleNamespace(column=lambda _: column)
-    )
+    lying = SimpleNamespace(num_row_groups=1, num_columns=1, row_group=lambda _: SimpleNamespace(column=lambda _: column))
     assert parquet_pages.unfolded(data, lying, 1 << 30) > 4_000_000
     rng = np.random.default_rng(2)
     for _ in range(300):
@@ -248,11 +246,7 @@ def test_damaged_lines_cost_only_themselves(tmp_path):
 
 
 @settings(max_examples=trials(60), deadline=None)
-@given(
-    st.lists(
-        st.lists(st.one_of(st.none(), st.floats(-1e6, 1e6, width=32)), min_size=3, max_size=3), min_size=1, max_size=20
-    )
-)
+@given(st.lists(st.lists(st.one_of(st.none(), st.floats(-1e6, 1e6, width=32)), min_size=3, max_size=3), min_size=1, max_size=20))
 def test_empty_cells_anywhere_are_not_a_number(rows):
     text = "a,b,c\n" + "".join(",".join("" if v is None else repr(v) for v in row) + "\n" for row in rows)
     notes = []

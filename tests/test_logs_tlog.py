@@ -78,10 +78,7 @@ def test_every_wanted_field_equals_pymavlinks():
         for field in messages[0].fieldnames:
             want = np.array([getattr(m, field) for m in messages])
             if want.dtype.kind in "iuf":
-                assert np.array_equal(table[field].astype(want.dtype), want, equal_nan=want.dtype.kind == "f"), (
-                    name,
-                    field,
-                )
+                assert np.array_equal(table[field].astype(want.dtype), want, equal_nan=want.dtype.kind == "f"), (name, field)
                 checked += want.size
     assert checked > 50_000
 
@@ -315,10 +312,7 @@ def test_arming_modes_and_landing_become_messages():
     said = [(m.kind, m.text, m.value) for m in read(log).messages]
     states = [m[1:] for m in said if m[0] == "armed"]
     assert states == [("armed", 1.0), ("disarmed", 0.0), ("armed", 1.0), ("disarmed", 0.0)]
-    assert [m[1] for m in said if m[0] == "mode"] == [
-        *("GUIDED", "LOITER") * 2,
-        *("GUIDED", "LAND") * 2,
-    ]
+    assert [m[1] for m in said if m[0] == "mode"] == [*("GUIDED", "LOITER") * 2, *("GUIDED", "LAND") * 2]
     assert [m[1] for m in said if m[0] == "landed"] == ["landed", "in the air", "landed"]
     assert [m[0] for m in said if m[1] == "words"] == ["text", "error", "error", "text"]
 
@@ -344,9 +338,7 @@ def test_the_gps_is_read_in_metres_from_its_first_fix():
     for k, east in enumerate((1_799_999_000, 1_800_000_000, -1_799_999_000)):
         log.add("global_position_int", 6000 + 200 * k, -600_000_000, east, 0, 0, 300, 400, 0, 0)
     far = read(log)["gps"]
-    assert far.values[:, 3] == pytest.approx(5.0) and far.values[2, 1] == pytest.approx(11.16, abs=0.01), (
-        "across the date line"
-    )
+    assert far.values[:, 3] == pytest.approx(5.0) and far.values[2, 1] == pytest.approx(11.16, abs=0.01), "across the date line"
 
 
 @needs_flights

@@ -38,9 +38,7 @@ def table(count, seed=0, noise=1.0, loss=0.4, onset=0):
     B = np.concatenate([system.B_tau, system.B_T[None]])
     wrench = np.concatenate([0.02 * np.sin(np.outer(t, [5.0, 7.0, 2.0])), np.full((count, 1), 19.6)], axis=1)
     u = u - (u * (1 - theta)) @ B.T @ np.linalg.pinv(B).T / 1.0 + wrench @ np.linalg.pinv(B).T
-    walk = jax.jit(
-        lambda u, th: jax.lax.scan(lambda x, r: (lambda z: (z, z))(system.f(x, *r, DT)), np.zeros(3), (u, th))[1]
-    )
+    walk = jax.jit(lambda u, th: jax.lax.scan(lambda x, r: (lambda z: (z, z))(system.f(x, *r, DT)), np.zeros(3), (u, th))[1])
     x = walk(u, theta)
     y = np.asarray(jax.vmap(system.h)(x, u, theta)) + noise * rng.standard_normal((count, 4)) * [0.01, 0.01, 0.01, 0.3]
     return u, y, np.ones((count, 4), bool)
@@ -52,9 +50,7 @@ def program(estimator):
     jax = load_jax()
 
     def run(u, y, valid):
-        return jax.lax.scan(
-            lambda c, row: (lambda c, o: (c, (o, c)))(*estimator.step(c, *row)), estimator.init(), (u, y, valid)
-        )[1]
+        return jax.lax.scan(lambda c, row: (lambda c, o: (c, (o, c)))(*estimator.step(c, *row)), estimator.init(), (u, y, valid))[1]
 
     return jax.jit(run)
 
@@ -149,10 +145,7 @@ def test_quadratic_programs_of_a_flight_are_exact():
     assert np.linalg.cond(H).max() > 10.0
     found = np.asarray(load_jax().vmap(lambda H, g: bounded.quadratic(H, g, low, high))(H, g))
     root = np.linalg.cholesky(H)
-    expected = [
-        lsq_linear(L.T, np.linalg.solve(L, b), (low, high), method="bvls", tol=1e-15).x
-        for L, b in zip(root, g, strict=True)
-    ]
+    expected = [lsq_linear(L.T, np.linalg.solve(L, b), (low, high), method="bvls", tol=1e-15).x for L, b in zip(root, g, strict=True)]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
     assert ((found == low) | (found == high)).any(axis=1).mean() > 0.1
 

@@ -186,9 +186,7 @@ def test_one_process_is_asked_one_thing_after_another():
         worker.stop()
 
 
-@pytest.mark.parametrize(
-    ("function", "item", "says"), [(os._exit, 7, r"exit code 7"), (time.sleep, 60, "hung for 0.1 s")]
-)
+@pytest.mark.parametrize(("function", "item", "says"), [(os._exit, 7, r"exit code 7"), (time.sleep, 60, "hung for 0.1 s")])
 def test_a_process_that_dies_or_hangs_over_a_question_is_gone(function, item, says):
     worker = processes.Worker(pickle.dumps((function, None)), 0.1)
     with pytest.raises(WorkerError, match=says):

@@ -134,11 +134,7 @@ def flight():
 
 def state(*masters):
     return SimpleNamespace(
-        console=Console(),
-        public_modules={},
-        command_map={},
-        mav_master=list(masters),
-        settings=SimpleNamespace(streamrate=4),
+        console=Console(), public_modules={}, command_map={}, mav_master=list(masters), settings=SimpleNamespace(streamrate=4)
     )
 
 
@@ -223,9 +219,7 @@ def test_events_come_to_the_console_and_the_map(flight):
     module, mpstate, master = fly(flight, early)
     try:
         ((line, colour), *_) = [pair for pair in mpstate.console.lines if "rotor 3 lost" in pair[0]]
-        assert (
-            colour == "orange" and line.startswith("rotorwatch: rotor 3 lost") and "(vehicle 1, announced, 47." in line
-        )
+        assert colour == "orange" and line.startswith("rotorwatch: rotor 3 lost") and "(vehicle 1, announced, 47." in line
         turns(module, lambda: mpstate.console.fields.get("rotorwatch 1", ("",))[0].startswith("RW 1: FAULT rotor 3"))
         assert mpstate.console.fields["rotorwatch 1"][1] == "red"
         # At the place where it began, not where the vehicle is now.
@@ -432,31 +426,19 @@ print("loaded")
 
 def test_mavproxy_finds_it_by_its_name():
     done = subprocess.run(
-        [sys.executable, "-c", LOAD],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": SOURCE},
-        timeout=120,
+        [sys.executable, "-c", LOAD], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": SOURCE}, timeout=120
     )
     assert done.stdout == "loaded\n", done.stderr
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed here: `pip install MAVProxy`"
-)
+@pytest.mark.skipif(importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed here: `pip install MAVProxy`")
 def test_in_mavproxy_itself(tmp_path):
     script = shutil.which("mavproxy.py", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
     assert script is not None
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    command = [
-        sys.executable,
-        script,
-        f"--master=udpin:127.0.0.1:{port}",
-        "--default-modules=link,param",
-        "--force-connected",
-    ]
+    command = [sys.executable, script, f"--master=udpin:127.0.0.1:{port}", "--default-modules=link,param", "--force-connected"]
     process = subprocess.Popen(
         [*command, "--cmd=module load rotorwatch", f"--logfile={tmp_path / 'm.tlog'}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, env={**os.environ, "PYTHONPATH": SOURCE, "HOME": str(tmp_path)}, cwd=tmp_path,
@@ -475,9 +457,7 @@ def test_in_mavproxy_itself(tmp_path):
     said += process.communicate(timeout=60)[0]
     assert "Loaded module rotorwatch" in said and "no vehicle is known yet" in said
     assert "Reloaded module rotorwatch" in said and "Unloaded module rotorwatch" in said and "Traceback" not in said
-    drawn = subprocess.run(
-        [sys.executable, "-c", MARKER], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": SOURCE}
-    )
+    drawn = subprocess.run([sys.executable, "-c", MARKER], capture_output=True, text=True, env={**os.environ, "PYTHONPATH": SOURCE})
     assert drawn.stdout == "drawn\n", drawn.stderr
 
 

@@ -22,11 +22,7 @@ from rotorwatch.flight import Message
 from rotorwatch_lab.simulation.write_dataflash import write_dataflash
 
 CRASH = Path(__file__).resolve().parents[2] / "shared" / "flights" / "crash"
-HEXA, HOVER, FPV = (
-    "hexax_m3_mul0.80_square_wind.bin.xz",
-    "quadx_healthy_hover.bin.xz",
-    "fpv_motor_3_stops.bbl.xz",
-)
+HEXA, HOVER, FPV = ("hexax_m3_mul0.80_square_wind.bin.xz", "quadx_healthy_hover.bin.xz", "fpv_motor_3_stops.bbl.xz")
 MOST_TOKENS = 1500
 
 # Inputs that mean harm.
@@ -211,9 +207,7 @@ def test_every_answer_is_short_by_default(session):
 
 def test_a_series_is_bounded_and_keeps_what_matters(session):
     whole = session.call("get_series", log=HEXA, what="loss", rotor=3, most=400)
-    assert (
-        whole["columns"] == ["time_s", "loss", "lower", "upper"] and 200 < len(whole["rows"]) <= 400 < whole["samples"]
-    )
+    assert whole["columns"] == ["time_s", "loss", "lower", "upper"] and 200 < len(whole["rows"]) <= 400 < whole["samples"]
     part = session.call("get_series", log=HEXA, what="command", start_s=47.0, end_s=49.0, most=20)
     assert len(part["rows"]) <= 20 and all(46.9 < row[0] < 49.1 for row in part["rows"]) and len(part["columns"]) == 7
     last = [row[1] for row in whole["rows"] if row[0] > 50.0]
@@ -305,16 +299,11 @@ def test_names_of_files_come_back_marked_as_data(session, folder):
     found = session.call("what_to_log", log=one["id"])  # whatever the name is, the id is plain
     assert not found.failed and one["id"].isalnum() and WORD in found["log"]["quoted_from_log"]
     assert len({row["id"] for row in answer["logs"]}) == len(NAMES)
-    assert (
-        session.call("list_logs", search="secret")["total"] == session.call("list_logs", search=".hidden")["total"] == 0
-    )
+    assert session.call("list_logs", search="secret")["total"] == session.call("list_logs", search=".hidden")["total"] == 0
 
 
 def test_nothing_was_written(session, folder):
-    assert (
-        not {p.name for p in folder.iterdir()} & {"x.png", "built"}
-        and (folder.parent / "secret.bin").read_bytes() == b"secret"
-    )
+    assert not {p.name for p in folder.iterdir()} & {"x.png", "built"} and (folder.parent / "secret.bin").read_bytes() == b"secret"
 
 
 # The command.

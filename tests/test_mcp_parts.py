@@ -94,9 +94,7 @@ def test_every_order_is_marked_and_made_one_line():
 
 
 def test_an_answer_about_many_rotors_and_events_is_short():
-    events = [
-        hexa_event(rotors=(1 + k % 6,), onset_s=31.2 + k, detected_s=31.5 + k, reason="why " * 300) for k in range(40)
-    ]
+    events = [hexa_event(rotors=(1 + k % 6,), onset_s=31.2 + k, detected_s=31.5 + k, reason="why " * 300) for k in range(40)]
     found = hexa_diagnosis(events=events, warnings=("damaged " * 200,) * 50)
     said = answered(models.Diagnosis, lambda: answers.diagnosis(found, "x" * 5000))
     assert len(said["events"]) == answers.MOST_EVENTS and said["main_event"] in [e["number"] for e in said["events"]]
@@ -110,9 +108,7 @@ def test_series_of_every_kind(fault):
     for what in series.WHOLE:
         if what == "rates":
             continue
-        found = answered(
-            models.Series, lambda w=what: {"log": quoted("a")} | series.sampled(fault, w, None, None, None, 30)
-        )
+        found = answered(models.Series, lambda w=what: {"log": quoted("a")} | series.sampled(fault, w, None, None, None, 30))
         assert len(found["rows"]) <= 30 and all(len(row) == len(found["columns"]) for row in found["rows"])
     with pytest.raises(ConfigError, match="no rates"):
         series.sampled(fault, "rates", None, None, None, 30)
@@ -216,6 +212,4 @@ def test_a_signal_that_is_slow_is_not_missing():
     found = answers.log(facts, "log")
     assert found["ready"] and "motors" in found["slow"] and "motors" not in found["missing"]
     settings = [gap["setting"] for gap in facts["missing"] if "LOG_BITMASK" in gap["setting"]]
-    assert len(settings) == 2 and all("LOG_BITMASK to 438271 (it is 176126): bit" in text for text in settings), (
-        "for both at once"
-    )
+    assert len(settings) == 2 and all("LOG_BITMASK to 438271 (it is 176126): bit" in text for text in settings), "for both at once"

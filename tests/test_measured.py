@@ -32,9 +32,7 @@ def flights(tmp_path_factory, amount):
     for numbers in numbered(plan, cells, -(-least // len(cells))):
         scenarios = [plan.flight(k) for k in numbers]
         plans, first = [flight_plan(s) for s in scenarios], scenarios[0]
-        records = fly_each(
-            MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, len(numbers)
-        )
+        records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, len(numbers))
         for k, scenario, number, record in zip(numbers, scenarios, plans, records):
             path = folder / f"{k}{SUFFIX[scenario.autopilot]}"
             logbook.write(scenario, number, record, path)
@@ -50,11 +48,7 @@ def counts(answer, scenario) -> dict:
     broken = tuple(f["rotor"] for f in scenario.faults)
     onset = min((f["onset_s"] for f in scenario.faults), default=float("inf"))
     one = counting.count(counting.alarms(answer.events), broken, onset)
-    found = {
-        "false_alarms": len(one.false),
-        "sure_false_alarms": sum(len(a.sets) == 1 for a in one.false),
-        "wrong": len(one.wrong),
-    }
+    found = {"false_alarms": len(one.false), "sure_false_alarms": sum(len(a.sets) == 1 for a in one.false), "wrong": len(one.wrong)}
     after = {"detected": one.found, "right": one.right, "named": one.named, "delay_s": one.delay_s} if broken else {}
     return found | after | score.answer(answer)
 

@@ -40,11 +40,7 @@ def test_what_is_not_seen_to_the_end_is_not_healthy(rotors):
     assert answer.verdict == "inconclusive" and not answer.events
     assert {r.status for r in answer.rotors} == {"unobservable"}
     (warning,) = [w for w in answer.warnings if "to the end of the flight" in w]
-    who = (
-        "No motor outputs"
-        if rotors == EVERY
-        else f"rotor{'s' if len(rotors) > 1 else ''} {' and '.join(map(str, rotors))} "
-    )
+    who = "No motor outputs" if rotors == EVERY else f"rotor{'s' if len(rotors) > 1 else ''} {' and '.join(map(str, rotors))} "
     assert who in warning
     assert all(("no command" in r.note) == (r.rotor in rotors) for r in answer.rotors)
     for text in (warning, answer.reason, answer.headline):
@@ -92,9 +88,7 @@ def test_a_link_that_lacks_a_rotor_is_blind_and_says_so():
     vehicle = airframes.identify(flight)
     session, seen = Session(replace(flight, signals={}), vehicle), {}
     for time in np.arange(0.0, flight.duration, 0.5):
-        session.add(
-            {k: s.between(time, time + 0.5) for k, s in flight.signals.items() if len(s.between(time, time + 0.5))}
-        )
+        session.add({k: s.between(time, time + 0.5) for k, s in flight.signals.items() if len(s.between(time, time + 0.5))})
         session.advance(time)
         seen[float(time)] = session.blind(), [gap.rotors for gap in session.missing]
     assert "rotor 3" in seen[28.0][0] and seen[28.0][1] == [(3,)]

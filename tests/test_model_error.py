@@ -39,15 +39,7 @@ MEANS = np.array(GAIN_MEAN)[:3]
 
 def inputs(thrust=EVEN, motion=(0.0, 0.0, 0.0), rates=(0.0, 0.0, 0.0), load=1.0, full=2.5, axial=0.0):
     """One tick's."""
-    return made(
-        Inputs,
-        thrust=np.asarray(thrust),
-        turn=np.asarray(motion),
-        rate=np.asarray(rates),
-        load=load * N,
-        full=full,
-        axial=axial,
-    )
+    return made(Inputs, thrust=np.asarray(thrust), turn=np.asarray(motion), rate=np.asarray(rates), load=load * N, full=full, axial=axial)
 
 
 def begun():
@@ -175,9 +167,7 @@ def test_a_new_hop_takes_its_first_tick_for_the_usual():
     assert after.burst == [1.0] * 4 and not any(after.innovation_mean) and after.lasting == memory.lasting
 
 
-@pytest.mark.parametrize(
-    "thrust, load, far", [(1.2, 1.2, 0.0), (1.5, 1.0, 0.2), (0.4, 1.0, 0.3), (1.0, 0.5, 0.2), (1.5, 1.6, 0.5)]
-)
+@pytest.mark.parametrize("thrust, load, far", [(1.2, 1.2, 0.0), (1.5, 1.0, 0.2), (0.4, 1.0, 0.3), (1.0, 0.5, 0.2), (1.5, 1.6, 0.5)])
 def test_far_from_hover_is_counted_beyond_three_tenths(thrust, load, far):
     """Of the usual thrust, and of gravity; the usual follows in five seconds."""
     memory, seen = look(settled(np.ones(N)), inputs(np.full(N, thrust), load=load))
@@ -212,9 +202,7 @@ def test_innovations_that_lean_to_one_side_are_remembered_for_half_a_minute():
     for e in series:
         lean += DT / TAU[1] * (e - lean)
         lasting += DT / model_error.LASTING_MEMORY_S * (min(lean**2 * (2.0 * TAU[1] / DT - 1.0), noise.CLIP) - lasting)
-    assert np.asarray(memory.innovation_mean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(
-        lasting
-    )
+    assert np.asarray(memory.innovation_mean) == pytest.approx(lean) and np.asarray(memory.lasting) == pytest.approx(lasting)
     assert 1.0 < lasting < noise.CLIP
     white = np.random.default_rng(0).standard_normal(4000)
     mean, squares = 0.0, []
@@ -250,9 +238,7 @@ def test_the_model_may_be_wrong_by_a_share_of_each_of_its_terms():
     spun = error(inputs(rates=(1.0, -2.0, 0.5)))
     wanted = model_error.DAMPING_ERROR * damping * [1.0, -2.0, 0.5, 0.0]
     assert spun == pytest.approx(model_error.ERROR_TICKS * wanted**2) and spun[2] > 0.0 == spun[3]
-    assert error(inputs(), far=0.3) == pytest.approx(
-        np.full(4, model_error.ERROR_TICKS * (model_error.FAR_ERROR * N * 0.3) ** 2)
-    )
+    assert error(inputs(), far=0.3) == pytest.approx(np.full(4, model_error.ERROR_TICKS * (model_error.FAR_ERROR * N * 0.3) ** 2))
     climbs = error(inputs(axial=3.0))
     assert climbs == pytest.approx([0.0, 0.0, 0.0, model_error.ERROR_TICKS * (model_error.AIR_ERROR * 3.0 * N) ** 2])
     full = error(inputs([1.0, 2.4, 1.0, 2.2]))

@@ -27,9 +27,7 @@ def test_yaw_alone_that_has_stepped_is_a_mount_that_turned(B, yaw):
 
 
 @pytest.mark.parametrize(
-    "how",
-    [{}, {"drift": (0.0, 0.0, 0.15), "rise": 0.0}, {"turns": 0.3}, {"drift": (0.5, 0.0, 0.0)}, {"loss": 0.3}],
-    ids=str,
+    "how", [{}, {"drift": (0.0, 0.0, 0.15), "rise": 0.0}, {"turns": 0.3}, {"drift": (0.5, 0.0, 0.0)}, {"loss": 0.3}], ids=str
 )
 def test_what_wind_turns_and_losses_do_is_no_mount(how):
     for seed in range(3):
@@ -47,11 +45,6 @@ def test_beside_a_fault_what_its_rotor_does_to_yaw_is_no_mount():
 def test_a_mount_that_turned_is_said_and_leaves_the_flight_healthy():
     (event,) = claimed(rise=0.0, drift=(0.0, 0.0, 0.8))
     end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=80.0))
-    assert (
-        end.verdict == "healthy"
-        and "mount or an arm" in end.headline
-        and "yaws" in end.headline
-        and len(end.headline) <= 200
-    )
+    assert end.verdict == "healthy" and "mount or an arm" in end.headline and "yaws" in end.headline and len(end.headline) <= 200
     assert "0.8 times" in end.events[0].reason
     assert any("mount" in line for line in end.advice)

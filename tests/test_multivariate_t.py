@@ -40,11 +40,7 @@ def test_densities_and_tails_are_those_of_t_and_f(dof):
 
 def test_weights_maximise_the_likelihood():
     """A location that is the mean weighed with them has no slope of the likelihood."""
-    rows, scale, middle = (
-        RNG.standard_t(3.0, (60, 2)) + np.array([1.0, -2.0]),
-        np.array([[1.0, 0.3], [0.3, 0.5]]),
-        np.zeros(2),
-    )
+    rows, scale, middle = (RNG.standard_t(3.0, (60, 2)) + np.array([1.0, -2.0]), np.array([[1.0, 0.3], [0.3, 0.5]]), np.zeros(2))
     for _ in range(200):
         weight = student.weights(rows - middle, scale, 5.0)
         middle = weight @ rows / weight.sum()

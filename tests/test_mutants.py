@@ -17,9 +17,7 @@ def test_every_file_in_it_has_tests_of_its_own():
     for files in mutants.parts().values():
         assert files
         for file in files:
-            assert mutants.tests_of(file), (
-                f"no tests are named for {file}: tests/test_<name>.py, or a row of mutants.NAMED"
-            )
+            assert mutants.tests_of(file), f"no tests are named for {file}: tests/test_<name>.py, or a row of mutants.NAMED"
     assert sum(share for _, share in mutants.PARTS.values()) == pytest.approx(1.0)
     assert [m.file for m in mutants.by_hand() if not mutants.tests_of(m.file)] == []
 
@@ -45,9 +43,7 @@ def test_the_table_tells_every_survivor_apart():
     for row in rows:
         assert row.outcome in (mutants.CAUGHT, mutants.SURVIVED) and bool(row.test) == (row.outcome == mutants.CAUGHT)
         assert row.explanation if row.outcome == mutants.SURVIVED else not row.explanation, row
-        assert (
-            row.part == mutants.HAND or row.file in parts[row.part] or not (ROOT / mutants.SOURCE / row.file).exists()
-        )
+        assert row.part == mutants.HAND or row.file in parts[row.part] or not (ROOT / mutants.SOURCE / row.file).exists()
     with (ROOT / mutants.TABLE).open(encoding="utf-8", newline="") as file:
         assert tuple(next(csv.reader(file))) == mutants.FIELDS
     page = (ROOT / "docs" / "mutants.md").read_text(encoding="utf-8")
@@ -76,11 +72,7 @@ def test_what_nobody_would_notice_is_left_out():
 
 def test_a_sample_is_the_same_for_the_same_seed(monkeypatch):
     pytest.importorskip("cosmic_ray")
-    monkeypatch.setattr(
-        mutants,
-        "parts",
-        lambda: {"campaign": ("rotorwatch_lab/campaign/__init__.py", "rotorwatch_lab/campaign/score.py")},
-    )
+    monkeypatch.setattr(mutants, "parts", lambda: {"campaign": ("rotorwatch_lab/campaign/__init__.py", "rotorwatch_lab/campaign/score.py")})
     few = mutants.ranked("campaign", 5)[:7]
     assert few == mutants.ranked("campaign", 5)[:7] != mutants.ranked("campaign", 6)[:7]
     source = (ROOT / mutants.SOURCE / few[0][1]).read_text(encoding="utf-8")

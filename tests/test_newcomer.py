@@ -15,9 +15,7 @@ pytestmark = pytest.mark.skipif(not (ROOT / ".git").exists(), reason="needs a ch
 
 def walk(*words):
     """(exit code, what is said) of newcomer.py."""
-    done = subprocess.run(
-        [sys.executable, ROOT / "tests" / "newcomer.py", *words], capture_output=True, text=True, timeout=600
-    )
+    done = subprocess.run([sys.executable, ROOT / "tests" / "newcomer.py", *words], capture_output=True, text=True, timeout=600)
     return done.returncode, done.stdout + done.stderr
 
 

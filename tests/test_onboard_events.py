@@ -130,11 +130,7 @@ def flight(B, seed, count=420, dt=0.05):
     hyp = list_hypotheses(n)
     time = 3.0 + dt * np.arange(count)
     ticks = SimpleNamespace(
-        time=time,
-        command_time=time - 0.06 - 0.02 * rng.random(count),
-        mode=np.full(count, GROUND),
-        restart=np.zeros(count, bool),
-        dt=dt,
+        time=time, command_time=time - 0.06 - 0.02 * rng.random(count), mode=np.full(count, GROUND), restart=np.zeros(count, bool), dt=dt
     )
     out = SimpleNamespace(
         theta=np.clip(np.cumsum(0.02 * rng.standard_normal((count, n)), axis=0) + 0.3, 0, 1),
@@ -216,9 +212,7 @@ def test_single_precision_tells_the_same_events(built):
 def test_another_compiler_agrees(built):
     B = FRAMES["quad-x"]
     out, ticks = flight(B, 1)
-    np.testing.assert_array_equal(
-        in_c(built("quad-x", compiler="clang"), out, ticks, B, 420), in_c(built("quad-x"), out, ticks, B, 420)
-    )
+    np.testing.assert_array_equal(in_c(built("quad-x", compiler="clang"), out, ticks, B, 420), in_c(built("quad-x"), out, ticks, B, 420))
 
 
 def test_of_more_losses_than_there_is_room_for_the_last_are_kept(built):

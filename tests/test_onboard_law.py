@@ -47,14 +47,8 @@ needs_compiler = pytest.mark.skipif(COMPILER is None, reason="needs a C compiler
 
 def every_log():
     """All that `diagnose` reads and identifies."""
-    found = [
-        p for p in sorted(FLIGHTS.rglob("*")) if p.is_file() and p.suffix in (".xz", ".bin", ".ulg", ".tlog", ".csv")
-    ]
-    return [
-        p
-        for p in [*found, FLIGHTS / "px4-ulogassessment"]
-        if "ulogassessment/" not in p.as_posix() and "truth" not in p.name
-    ]
+    found = [p for p in sorted(FLIGHTS.rglob("*")) if p.is_file() and p.suffix in (".xz", ".bin", ".ulg", ".tlog", ".csv")]
+    return [p for p in [*found, FLIGHTS / "px4-ulogassessment"] if "ulogassessment/" not in p.as_posix() and "truth" not in p.name]
 
 
 def fed_logs():
@@ -117,9 +111,7 @@ def test_samples_have_the_same_events_on_board(name, tmp_path):
 @pytest.mark.parametrize("path", every_log() if FULL else [], ids=lambda p: p.name)
 def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     try:
-        flight = plausible.checked(
-            logs.read(path)
-        )  # single values that do not fit are found in a whole log, not on board
+        flight = plausible.checked(logs.read(path))  # single values that do not fit are found in a whole log, not on board
         aerobatic.decline(flight, "the library models hover.")
         what = flown(flight)
     except (RotorwatchError, IndexError, KeyError) as why:
@@ -130,10 +122,7 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     told = diagnose(flight)
     if told.doubts:
         pytest.skip(f"only the whole log shows that it is no flight's: {told.doubts[0]}")
-    if (
-        any(event.kind == "loss_of_control" for event in told.events)
-        or told.flight["hops"][-1][1] < airborne(flight)[-1][1] - 0.01
-    ):
+    if any(event.kind == "loss_of_control" for event in told.events) or told.flight["hops"][-1][1] < airborne(flight)[-1][1] - 0.01:
         pytest.skip("loss of control and impacts are judged after the flight")
     if why := (ROUGH if single else LONG).get(path.name):
         with pytest.raises(AssertionError, match=r"rtol=0, atol=(0\.02|1e-06)"):  # once it passes it goes from the list
@@ -148,9 +137,7 @@ def accused(rows):
 
 
 @needs_compiler
-@pytest.mark.parametrize(
-    "path", [*fed_logs(), *([] if FULL else [SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"])], ids=lambda p: p.name
-)
+@pytest.mark.parametrize("path", [*fed_logs(), *([] if FULL else [SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"])], ids=lambda p: p.name)
 def test_fed_at_the_rates_of_a_board_it_accuses_the_same_rotors(path, tmp_path):
     """A loop of 100 Hz, in single precision, with what `export-c` makes for it: the same rotors, onsets within 0.3 s, and what is over."""
     try:
@@ -164,13 +151,10 @@ def test_fed_at_the_rates_of_a_board_it_accuses_the_same_rotors(path, tmp_path):
     found = accused(events_in_c(tmp_path, what, True, COMPILER or "cc")[0])
     events = [e for e in told.events if e.kind in KINDS and (e.extra.get("live", True) or "grew_until_s" in e.extra)]
     wanted = [
-        (KINDS[e.kind], mask(e.rotors), bool(e.alternatives), e.onset_s, e.end_s is not None)
-        for e in events
-        if KINDS[e.kind] in (0, 1)
+        (KINDS[e.kind], mask(e.rotors), bool(e.alternatives), e.onset_s, e.end_s is not None) for e in events if KINDS[e.kind] in (0, 1)
     ]
     agree = len(found) == len(wanted) and all(
-        a[0] == b[0] and (a[1] == b[1] or (a[2] and b[2])) and abs(a[3] - b[3]) <= 0.3 and a[4] == b[4]
-        for a, b in zip(found, wanted)
+        a[0] == b[0] and (a[1] == b[1] or (a[2] and b[2])) and abs(a[3] - b[3]) <= 0.3 and a[4] == b[4] for a, b in zip(found, wanted)
     )
     if path.name in FED:
         assert not agree, "once it agrees it goes from the list"

@@ -98,12 +98,7 @@ def test_what_ardupilot_refuses_is_refused(line, tmp_path):
     """Its private members, answers that must be looked at, formats that do not fit."""
     if shutil.which("g++") is None:
         pytest.skip("g++ is not installed")
-    headers = (
-        "AP_AHRS/AP_AHRS.h",
-        "AP_InertialSensor/AP_InertialSensor.h",
-        "AP_Motors/AP_Motors.h",
-        "GCS_MAVLink/GCS.h",
-    )
+    headers = ("AP_AHRS/AP_AHRS.h", "AP_InertialSensor/AP_InertialSensor.h", "AP_Motors/AP_Motors.h", "GCS_MAVLink/GCS.h")
     source = (
         "\n".join(f"#include <{name}>" for name in headers)
         + """

@@ -72,18 +72,14 @@ def test_the_same_is_told_on_board(code, how, says):
     out, ticks = flight(B, **how)
     state = trim.look(out, ticks, B)
     grown, mounts = trim.growth(state), trim.mounts(state)
-    rows = np.ascontiguousarray(
-        np.column_stack([ticks.time, (out.biases + (ticks.thrust * out.theta) @ B.T)[:, :3], ticks.thrust])
-    )
+    rows = np.ascontiguousarray(np.column_stack([ticks.time, (out.biases + (ticks.thrust * out.theta) @ B.T)[:, :3], ticks.thrust]))
     found, text, looks = np.zeros((4, 8)), ctypes.create_string_buffer(80), ctypes.c_int()
     arguments = doubles(np.ascontiguousarray(B)), ctypes.c_double(ticks.curve[1]), ctypes.c_double(DT), doubles(rows)
     count = code.told(len(rows), *arguments, doubles(found), text, ctypes.byref(looks))
     assert looks.value == 2, "it looks while the vehicle flies"
     expected = []
     if grown is not None and grown.certain:
-        expected.append(
-            [0, 1 << (grown.rotors[0] - 1), grown.start_s, grown.looked_s, grown.loss[0], *grown.interval[0], 0.0]
-        )
+        expected.append([0, 1 << (grown.rotors[0] - 1), grown.start_s, grown.looked_s, grown.loss[0], *grown.interval[0], 0.0])
     expected += [[9, 0, m.onset_s, m.detected_s, 0.0, 0.0, 0.0, m.extra["yaw"]] for m in mounts]
     assert count == len(expected) == bool(says) and text.value.decode() == says
     for row, wanted in zip(found, expected):

@@ -77,15 +77,11 @@ def flown(*faults):
 
 def event(rotors, onset=30.2, alternatives=(), kind="loss_of_effectiveness", loss=0.3):
     n = len(rotors)
-    return Event(
-        kind, rotors, onset, onset + 0.5, None, (loss,) * n, ((loss - 0.05, loss + 0.05),) * n, 0.99, alternatives
-    )
+    return Event(kind, rotors, onset, onset + 0.5, None, (loss,) * n, ((loss - 0.05, loss + 0.05),) * n, 0.99, alternatives)
 
 
 def answer(*events, verdict="fault", weak=(), suspects=()):
-    states = (
-        dict.fromkeys(range(1, 7), "healthy") | dict.fromkeys(weak, "degraded") | dict.fromkeys(suspects, "suspect")
-    )
+    states = dict.fromkeys(range(1, 7), "healthy") | dict.fromkeys(weak, "degraded") | dict.fromkeys(suspects, "suspect")
     rotors = tuple(SimpleNamespace(rotor=r, status=s) for r, s in states.items())
     return SimpleNamespace(verdict=verdict, events=events, rotors=rotors)
 
@@ -148,15 +144,7 @@ def test_counts_of_a_table_whose_answer_is_known():
     rows = [healthy | {"outcome": what} for what in ["clean"] * 97 + ["doubt", "accused", "accused"]]
     for row, verdict in zip(rows, ("inconclusive", "error", "inconclusive", "healthy")):
         row["verdict"] = verdict
-    broken = blank | {
-        "group": "loss",
-        "kind": "step",
-        "loss": 0.3,
-        "airborne_s": 50.0,
-        "error": 0.1,
-        "holds": True,
-        "ended": False,
-    }
+    broken = blank | {"group": "loss", "kind": "step", "loss": 0.3, "airborne_s": 50.0, "error": 0.1, "holds": True, "ended": False}
     rows += [broken | {"outcome": what} for what in ("right", "right", "right", "extra")]
     found = open_world.summarise(SimpleNamespace(to_pylist=lambda: rows), "made")
     lines = {line["name"]: line for line in found["lines"]}
@@ -173,9 +161,7 @@ def test_counts_of_a_table_whose_answer_is_known():
     assert [len(row) for row in open_world.table(found)] == [len(open_world.HEADS)] * (len(found["lines"]) + 1)
     still = found["lines"][-1] | {"name": "healthy: still", "group": "healthy", "right": None, "unanswered": 2}
     still |= {key: {"value": 0.0, "low": 0.0, "high": 0.1, "n": 4} for key in ("accused", "doubt")}
-    assert "No rotor accused, none ambiguous: still (4, 2 without an answer).\n" in open_world.markdown(
-        found | {"lines": [still]}
-    )
+    assert "No rotor accused, none ambiguous: still (4, 2 without an answer).\n" in open_world.markdown(found | {"lines": [still]})
     calm = text.split("| kind of flight |")[2]
     assert "no answer" in calm and all(head not in calm for head in ("right", "crashed", "hours", "an hour"))
 

@@ -122,9 +122,7 @@ def test_one_sense_of_rotation_that_works_harder_is_a_yaw_imbalance(vehicle, yaw
     ratio = (0.5 + 0.5 * abs(yaw)) / (0.5 - 0.5 * abs(yaw)) - 1.0
     assert event.extra["more"] == pytest.approx(ratio, abs=0.01)
     assert told(vehicle, 0.5 + 0.5 * 0.5 * outputs.TWISTED * spin) == ()
-    later = np.where(
-        TIME[:, None] > 40.0, 0.5 + 0.5 * yaw * spin, 0.5
-    )  # a mount that turns in flight has a kind of its own
+    later = np.where(TIME[:, None] > 40.0, 0.5 + 0.5 * yaw * spin, 0.5)  # a mount that turns in flight has a kind of its own
     assert told(vehicle, later) == ()
 
 
@@ -162,9 +160,7 @@ def test_why_a_vehicle_sank_without_a_rotor():
     (event,) = sinking(0.6, True, 3.0)
     # Four of six carry in balance: the opposite one cannot be used.
     assert event.kind == EXHAUSTED and event.extra["lift"] == pytest.approx(1.3 * 4.0 / 6.0, abs=0.01)
-    assert event.extra["given"] == pytest.approx(0.6, abs=0.02) and event.extra["sank_m"] == pytest.approx(
-        30.0, abs=1.0
-    )
+    assert event.extra["given"] == pytest.approx(0.6, abs=0.02) and event.extra["sank_m"] == pytest.approx(30.0, abs=1.0)
     assert "without rotor 3" in event.reason and "could not have stayed up" in event.reason
     (able,) = sinking(0.6, True, 3.0, weight=2.0)
     assert able.extra["lift"] > 1.0 and "the mixer limited them" in able.reason and "motor 3" in able.reason

@@ -93,9 +93,7 @@ def test_equations_tables_and_figures_lead_to_what_is_there(make, data):
                 if "/" in piece:
                     file, _, name = piece.partition(": ")
                     assert (source / file).is_file(), piece
-                assert file and re.search(
-                    rf"\b{name}\b" if name else "", (source / file).read_text(encoding="utf-8")
-                ), (file, name)
+                assert file and re.search(rf"\b{name}\b" if name else "", (source / file).read_text(encoding="utf-8")), (file, name)
         numbers = [int(n) for number, *_ in found["figures"] for n in re.findall(r"\d+", number)]
         assert sorted(numbers) == list(range(1, last[paper] + 1))
         for _, _, picture in found["figures"]:

@@ -115,10 +115,7 @@ def test_it_finds_a_loss(make):
 def test_states_that_are_not_measured_are_no_hindrance():
     """A rigid body whose velocities are not measured: their part of the window is eliminated like any other."""
     plant = RigidBody(
-        np.diag([0.01, 0.01, 0.02]),
-        0.2 * np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [0.1, 0.1, -0.1, -0.1]]),
-        5 * np.ones(4),
-        1.0,
+        np.diag([0.01, 0.01, 0.02]), 0.2 * np.array([[-1, 1, 1, -1], [1, -1, 1, -1], [0.1, 0.1, -0.1, -0.1]]), 5 * np.ones(4), 1.0
     )
     assert Parity(plant, DT).V.shape == (20 * 6 - 12, 20 * 6)
 

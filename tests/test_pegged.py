@@ -20,9 +20,7 @@ def flown(rotor=2, against=8.0, high=1.0, others=0.3, seconds=1.5, rises=0.0, se
     share = 0.45 + 0.01 * rng.standard_normal((t.size, 4))
     share[then] = others + 0.03 * rng.standard_normal((int(then.sum()), 4))
     share[then, rotor - 1] = high
-    turn = (
-        -against * np.clip((t - 2.0) / 0.3, 0.0, 1.0) * np.where(then, 1.0, 0.0) * (1.0 - rises * (t - 2.0) / seconds)
-    )
+    turn = -against * np.clip((t - 2.0) / 0.3, 0.0, 1.0) * np.where(then, 1.0, 0.0) * (1.0 - rises * (t - 2.0) / seconds)
     rates = turn[:, None] * np.sign(B[:3, rotor - 1]) / 3.0 + 0.02 * rng.standard_normal((t.size, 3))
     columns = {"time_s": t, **{f"motor_{k + 1}": x for k, x in enumerate(share.T)}}
     columns |= {f"gyro_{a}_rad_s": x for a, x in zip("xyz", rates.T)}

@@ -26,11 +26,7 @@ def test_all_rotors_of_every_frame_have_places_of_their_own(frame):
     assert len(set(words)) == len(rotors) and all(words), words
     for rotor, word in zip(rotors, words, strict=True):
         assert ("front" in word) <= (rotor.x > 0) or "nearer the front" in word
-        assert (
-            ("rear" in word) <= (rotor.x < 0)
-            and ("left" in word) <= (rotor.y < 0)
-            and ("right" in word) <= (rotor.y > 0)
-        )
+        assert ("rear" in word) <= (rotor.x < 0) and ("left" in word) <= (rotor.y < 0) and ("right" in word) <= (rotor.y > 0)
 
 
 def test_octa_x_has_two_rotors_in_each_corner():
@@ -39,14 +35,7 @@ def test_octa_x_has_two_rotors_in_each_corner():
 
 
 def test_coaxial_pairs_have_an_upper_and_a_lower_rotor():
-    rotors = [
-        Rotor(1, 1, 1),
-        Rotor(1, 1, -1, 0.85),
-        Rotor(-1, -1, 1, 0.85),
-        Rotor(-1, -1, -1),
-        Rotor(1, -1, 1),
-        Rotor(1, -1, -1),
-    ]
+    rotors = [Rotor(1, 1, 1), Rotor(1, 1, -1, 0.85), Rotor(-1, -1, 1, 0.85), Rotor(-1, -1, -1), Rotor(1, -1, 1), Rotor(1, -1, -1)]
     assert places.names(rotors) == (
         "front right, upper", "front right, lower", "rear left, lower", "rear left, upper", "front left, upper",
         "front left, lower",

@@ -114,9 +114,7 @@ def test_what_any_multirotor_is_like():
         assert P[axis * PER_AXIS + B3, axis * PER_AXIS + B3] == definition.BIAS_SD[axis] ** 2
     thrust = 3 * PER_AXIS + GAIN
     assert (mean[thrust], P[thrust, thrust]) == (1.0, definition.GAIN_SD[3] ** 2)
-    assert (mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS]) == pytest.approx(
-        (n * definition.SIDE, (n * definition.SIDE_SD) ** 2)
-    )
+    assert (mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS]) == pytest.approx((n * definition.SIDE, (n * definition.SIDE_SD) ** 2))
     assert np.linalg.eigvalsh(P).min() >= -1e-12 and (P == P.T).all()
     assert plant.usual_gains(n) == pytest.approx([*(n * np.array(definition.GAIN_MEAN[:3])), 1.0])
     assert np.count_nonzero(P - np.diag(np.diag(P))) == 6  # each angular gain with its damping, nothing else

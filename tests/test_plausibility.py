@@ -151,9 +151,7 @@ def test_a_jump_beyond_all_lacks_no_more_than_all():
 def test_what_a_limit_explains_is_no_loss():
     """Of the rotor at its limit only; a rotor that is known to be weak is asked no more."""
     limit = np.array([0.0, 0.2, 0.0, 0.0])
-    assert not possible(jump((2, 0.19)), now=missing(limit=limit)) and possible(
-        jump((2, 0.21)), now=missing(limit=limit)
-    )
+    assert not possible(jump((2, 0.19)), now=missing(limit=limit)) and possible(jump((2, 0.21)), now=missing(limit=limit))
     assert possible(jump((3, 0.19)), now=missing(limit=limit))
     assert possible(jump((2, 0.19)), now=missing(limit=limit), active=(2,))
     assert possible(jump((2, -0.19)), now=missing(limit=limit), active=(2,))
@@ -194,13 +192,7 @@ def test_a_push_up_or_down_is_remembered_for_eight_seconds(load):
 
 def test_a_rotor_near_its_limit_may_lack_what_it_is_commanded_beyond_what_is_believed():
     """None up to BELIEVED, all beyond it from AT_LIMIT on, in between in proportion; remembered for two seconds."""
-    for share, near in (
-        (BELOW_LIMIT, 0.0),
-        (0.5 * (BELOW_LIMIT + AT_LIMIT), 0.5),
-        (AT_LIMIT, 1.0),
-        (1.0, 1.0),
-        (0.2, 0.0),
-    ):
+    for share, near in ((BELOW_LIMIT, 0.0), (0.5 * (BELOW_LIMIT + AT_LIMIT), 0.5), (AT_LIMIT, 1.0), (1.0, 1.0), (0.2, 0.0)):
         found = array(followed([(0.0, 1.0, share, True, False)]).limit, N)
         assert found == pytest.approx(near * max(0.0, 1.0 - BELOW_LIMIT / share))
     quiet = [(0.0, 1.0, 0.3, True, False)] * round(LIMIT_S / DT)

@@ -60,13 +60,7 @@ def test_how_often_white_noise_is_taken_for_damage():
 
 
 @MANY
-@given(
-    st.integers(30, 169),
-    st.sampled_from([-1.0, 1.0]),
-    st.floats(1.0, 1e6),
-    st.floats(0.0, 3.0),
-    st.integers(0, 10),
-)
+@given(st.integers(30, 169), st.sampled_from([-1.0, 1.0]), st.floats(1.0, 1e6), st.floats(0.0, 3.0), st.integers(0, 10))
 def test_a_value_far_off_in_a_smooth_signal_is_found(at, sign, beyond, sd, seed):
     x = 1500.0 + 50.0 * np.sin(2.0 * np.pi * np.arange(200) / 60.0) + noise(200, sd, seed)
     rough = np.median(np.abs(x[1:-1] - (x[2:] + x[:-2]) / 2.0))
@@ -135,12 +129,8 @@ def signals(n=400):
         "motors": Signal(times(n), motors, ("r1", "r2", "r3", "r4"), "us", source="RCOU"),
         "control": Signal(times(n), control, ("roll", "pitch", "yaw", "thrust"), "1", source="RATE"),
         "gyro": Signal(times(n), 0.02 * rng.standard_normal((n, 3)), ("x", "y", "z"), "rad/s", "FRD", "IMU"),
-        "accel": Signal(
-            times(n), [0, 0, -9.8] + 0.1 * rng.standard_normal((n, 3)), ("x", "y", "z"), "m/s^2", "", "IMU"
-        ),
-        "lift": Signal(
-            times(n), np.column_stack([np.ones(n), np.linspace(1.0, 0.9, n)]), ("lift_max", "voltage_ratio"), "1"
-        ),
+        "accel": Signal(times(n), [0, 0, -9.8] + 0.1 * rng.standard_normal((n, 3)), ("x", "y", "z"), "m/s^2", "", "IMU"),
+        "lift": Signal(times(n), np.column_stack([np.ones(n), np.linspace(1.0, 0.9, n)]), ("lift_max", "voltage_ratio"), "1"),
     }
 
 
@@ -161,9 +151,7 @@ def test_an_intact_flight_keeps_its_signals():
     assert all(found[name] is one[name] for name in one.signals) and not found.warnings and not found.facts
 
 
-@pytest.mark.parametrize(
-    ("name", "column", "by"), [("motors", 2, 64.0), ("lift", 1, 0.25), ("gyro", 0, 2.0), ("accel", 2, 20.0)]
-)
+@pytest.mark.parametrize(("name", "column", "by"), [("motors", 2, 64.0), ("lift", 1, 0.25), ("gyro", 0, 2.0), ("accel", 2, 20.0)])
 def test_one_wrong_value_is_dropped_and_said(name, column, by):
     checked = plausible.checked(flight(**changed(name, 200, column, by)))
     assert np.argwhere(~checked[name].valid).tolist() == [[200, column]]
@@ -196,10 +184,7 @@ def test_the_mixer_is_known_for_what_the_vehicle_does_for_the_first_time():
     mixer = np.array([[-0.5, 0.5, 0.5, 1.0], [0.5, -0.5, 0.5, 1.0], [0.5, 0.5, -0.5, 1.0], [-0.5, -0.5, -0.5, 1.0]])
     motors = np.round(1100.0 + 800.0 * control @ mixer.T)
     motors[215, 2] += 64.0
-    kinds = {
-        "motors": (motors, ("r1", "r2", "r3", "r4"), "us"),
-        "control": (control, ("roll", "pitch", "yaw", "thrust"), "1"),
-    }
+    kinds = {"motors": (motors, ("r1", "r2", "r3", "r4"), "us"), "control": (control, ("roll", "pitch", "yaw", "thrust"), "1")}
     made = {k: Signal(times(n), v, c, unit, source=k) for k, (v, c, unit) in kinds.items()}
     checked = plausible.checked(Flight("test", "ArduPilot", made, 40.0))
     assert np.argwhere(~checked["motors"].valid).tolist() == [[215, 2]]
@@ -267,12 +252,7 @@ def test_heavy_damage_is_said_where_something_is_impossible(impossible, damaged)
     assert {type(w) for w in said} == {str} and said[: 1 + len(notes)] == one.warnings
 
 
-NOT_DAMAGED = [
-    "open/ap_quad_autotune",
-    "wild/desync-called-damage-1",
-    "crash/take-off-dead-1",
-    "crash/take-off-swapped-2",
-]
+NOT_DAMAGED = ["open/ap_quad_autotune", "wild/desync-called-damage-1", "crash/take-off-dead-1", "crash/take-off-swapped-2"]
 
 
 @pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
@@ -297,13 +277,7 @@ def test_a_log_cut_short_keeps_what_was_said_before_the_cut():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        ("FRAME_CLASS", 1.5),
-        ("MOT_PWM_MIN", 4.3e12),
-        ("MOT_THST_EXPO", 1e38),
-        ("SERVO3_FUNCTION", 34.25),
-        ("CA_ROTOR_COUNT", 1e9),
-    ],
+    [("FRAME_CLASS", 1.5), ("MOT_PWM_MIN", 4.3e12), ("MOT_THST_EXPO", 1e38), ("SERVO3_FUNCTION", 34.25), ("CA_ROTOR_COUNT", 1e9)],
 )
 def test_parameters_that_cannot_be_are_not_believed(name, value):
     fine, notes = parameter_ranges.checked({name: value, "WPNAV_SPEED": 500.0})
@@ -321,11 +295,7 @@ def test_what_no_diagnosis_would_notice_is_left_alone():
     assert all(0.0 < floor for floor in plausible.FLOORS.values())
     for name, columns in (("battery", ("voltage", "current")), ("accel", ("x", "y", "z"))):
         for times_floor, wild in ((0.5, 0), (5.0, 1)):
-            values = (
-                10.0
-                + np.zeros((200, len(columns)))
-                + 1e-4 * np.random.default_rng(1).standard_normal((200, len(columns)))
-            )
+            values = 10.0 + np.zeros((200, len(columns))) + 1e-4 * np.random.default_rng(1).standard_normal((200, len(columns)))
             values[100, 0] += times_floor * plausible.FLOORS[name]
             flight = plausible.checked(Flight("t", "t", {name: Signal(times(200), values, columns, "1")}, 20.0))
             assert (~flight[name].valid).any(axis=1).sum() == wild, (name, times_floor)
@@ -337,20 +307,13 @@ def outputs(rows, invalid=(), rate=10.0, n=200):
     valid = values > 0.0
     for row in invalid:
         valid[row] = False
-    return Flight(
-        "x",
-        "ArduPilot",
-        {"motors": Signal(np.arange(n) / rate, values, tuple("abcd"), "us", "", "RCOU", valid)},
-        n / rate,
-    )
+    return Flight("x", "ArduPilot", {"motors": Signal(np.arange(n) / rate, values, tuple("abcd"), "us", "", "RCOU", valid)}, n / rate)
 
 
 def test_a_lone_record_without_commands_is_dropped_and_said():
     flight = plausible.checked(outputs([85, 120]))
     assert not flight["motors"].valid[[85, 120]].any() and flight["motors"].valid.all(axis=1).sum() == 198
-    assert flight.warnings == (
-        "motors (RCOU): 2 records in which most outputs are no command dropped, at 8.5 s, 12.0 s.",
-    )
+    assert flight.warnings == ("motors (RCOU): 2 records in which most outputs are no command dropped, at 8.5 s, 12.0 s.",)
     (many,) = plausible.checked(outputs([85, 120, 130, 140])).warnings
     assert many.endswith("at 8.5 s, 12.0 s, 13.0 s and later.")
 

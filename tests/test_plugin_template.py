@@ -20,14 +20,7 @@ pytest.importorskip("pip")
 def command(tmp_path_factory):
     """command(*words) -> what a process says in whose path the template is installed."""
     site = tmp_path_factory.mktemp("site")
-    options = [
-        "--quiet",
-        "--no-deps",
-        "--no-build-isolation",
-        "--no-index",
-        "--disable-pip-version-check",
-        "--no-compile",
-    ]
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--disable-pip-version-check", "--no-compile"]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, "--target", site, TEMPLATE], check=True)
     path = os.pathsep.join([str(ROOT / "src"), str(site)])
 
@@ -51,9 +44,7 @@ def acme(tmp_path_factory):
         values = (signal.values[:, columns] - offset) * scale
         if beside is not None:
             values = np.hstack([values, beside])
-        lines.extend(
-            f"{kind},{1e6 * t:.0f}," + ",".join(f"{v:.7g}" for v in row) for t, row in zip(signal.time, values)
-        )
+        lines.extend(f"{kind},{1e6 * t:.0f}," + ",".join(f"{v:.7g}" for v in row) for t, row in zip(signal.time, values))
 
     write("M", "motors", 0.1, [2, 0, 3, 1], 1000.0)  # ArduPilot: front right, rear left, front left, rear right
     write("I", "gyro", 180 / np.pi, beside=flight["accel"].values / 9.80665)

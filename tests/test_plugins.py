@@ -92,9 +92,7 @@ def test_what_other_packages_offer_is_found(package):
     assert "own-rule" not in [m.name for m in detectors.for_autopilot("ArduPilot")]  # it is no autopilot's own check
     assert discovery.source(discovery.estimator("own")) == ("elsewhere", "1.2", "elsewhere:Own")
     assert "ekf" in discovery.estimators()
-    plan = campaign.from_table(
-        {"estimators": ["own", "elsewhere:Own"], "scenario": {"airframe": {"frame": "quad-x"}}, "healthy": 1.0}
-    )
+    plan = campaign.from_table({"estimators": ["own", "elsewhere:Own"], "scenario": {"airframe": {"frame": "quad-x"}}, "healthy": 1.0})
     assert plan.estimators == ("own", "elsewhere:Own")
 
 

@@ -33,9 +33,7 @@ HEALTHY = (  # real flights, vehicle by vehicle
 def hover(w, n=4, limited=0.0):
     """Features of a flight whose rotors share the load with balance w (3,)."""
     none, square = (0.0,) * 2, ((0.0,) * 3,) * 3
-    return Features(
-        "", (0.4,) * n, tuple(map(float, w)), none, none, none, square, (0.0,) * 3, square, (limited,) * n, 30.0, 8.0
-    )
+    return Features("", (0.4,) * n, tuple(map(float, w)), none, none, none, square, (0.0,) * 3, square, (limited,) * n, 30.0, 8.0)
 
 
 def weak(B, rotor, loss, trim=(0.0, 0.0, 0.0)):
@@ -43,9 +41,7 @@ def weak(B, rotor, loss, trim=(0.0, 0.0, 0.0)):
     n = B.shape[1]
     left = np.ones(n)
     left[rotor] -= loss
-    wrench = np.linalg.solve(
-        (B * left) @ np.linalg.pinv(B), np.r_[np.zeros(3), B[3].sum()]
-    )  # what the mixer is asked for
+    wrench = np.linalg.solve((B * left) @ np.linalg.pinv(B), np.r_[np.zeros(3), B[3].sum()])  # what the mixer is asked for
     f = np.linalg.pinv(B) @ wrench
     return population.weigh(hover(B[:3] @ f / f.sum() + trim, n), B)
 

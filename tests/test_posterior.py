@@ -38,12 +38,7 @@ def stretch(seed, ticks):
     rng = np.random.default_rng(seed)
     variance = rng.uniform(0.5, 2.0, (ticks, PLACES, 4))
     size = np.array([1.0, 1.05, 0.95, 1.0])[:, None] * np.sqrt(variance)
-    return (
-        size * rng.standard_normal((ticks, PLACES, 4)),
-        variance,
-        rng.random((ticks, 4)) < 0.8,
-        rng.uniform(0.2, 1.0, (ticks, 4)),
-    )
+    return (size * rng.standard_normal((ticks, PLACES, 4)), variance, rng.random((ticks, 4)) < 0.8, rng.uniform(0.2, 1.0, (ticks, 4)))
 
 
 def weigh(b, e, variance, valid, calm, counts=True):

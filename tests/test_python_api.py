@@ -15,9 +15,7 @@ from rotorwatch_lab.estimators.akf import AKF
 
 def small_flight(**changes):
     time = np.arange(5) * 0.5
-    gyro = Signal(
-        time, np.arange(15.0).reshape(5, 3), ("x", "y", "z"), "rad/s", "FRD", "IMU", np.arange(15).reshape(5, 3) != 4
-    )
+    gyro = Signal(time, np.arange(15.0).reshape(5, 3), ("x", "y", "z"), "rad/s", "FRD", "IMU", np.arange(15).reshape(5, 3) != 4)
     return Flight("DataFlash", "ArduPilot", {"gyro": gyro}, 2.0, firmware="4.5.1", name="a<b>.bin", parameters={"FRAME_CLASS": 1.0},
                   messages=(Message(0.5, "mode", "LOITER"),), warnings=("2 % of it was <damaged>",), **changes)  # fmt: skip
 
@@ -129,9 +127,7 @@ def test_estimators_given_as_objects():
 
 def test_a_diagnosis_by_an_instance_is_that_by_the_name(hover_log):
     by_name = rw.diagnose(hover_log, estimator="akf")
-    plant = rw.systems.RateDynamics(
-        J=np.eye(3), B_tau=np.ones((3, 6)), B_T=np.ones(6), m=1.0, gyro_sd=0.1, accel_sd=0.1
-    )
+    plant = rw.systems.RateDynamics(J=np.eye(3), B_tau=np.ones((3, 6)), B_T=np.ones(6), m=1.0, gyro_sd=0.1, accel_sd=0.1)
     by_object = rw.diagnose(hover_log, estimator=AKF(plant, 0.05))
     assert by_object.estimator == by_name.estimator == "akf"
     assert by_object.events == by_name.events and by_object.events

@@ -13,17 +13,7 @@ from test_baselines import slower
 from test_calibrate import QUAD, flown, on_the_ground
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
-WILD = (
-    "slow-bin-1",
-    "slow-tlog-1",
-    "plane-1",
-    "no-rcou-1",
-    "frozen-fault-1",
-    "healthy-real-1",
-    "knock-2",
-    "rotor-off-1",
-    "on-its-side-1",
-)
+WILD = ("slow-bin-1", "slow-tlog-1", "plane-1", "no-rcou-1", "frozen-fault-1", "healthy-real-1", "knock-2", "rotor-off-1", "on-its-side-1")
 
 
 def without(flight, *names):

@@ -43,9 +43,7 @@ def test_the_version_is_one():
 
 def test_nothing_is_used_that_the_oldest_python_lacks():
     """Of the standard library: what rotorwatch itself once used of Python 3.11."""
-    later = re.compile(
-        r"^\s*(?:import tomllib$|from datetime import .*\bUTC\b)|\.add_note\(|asyncio\.timeout\(", re.MULTILINE
-    )
+    later = re.compile(r"^\s*(?:import tomllib$|from datetime import .*\bUTC\b)|\.add_note\(|asyncio\.timeout\(", re.MULTILINE)
     assert PROJECT["requires-python"].startswith(">=3.10")
     for path in (ROOT / "src").rglob("*.py"):
         assert path.name == "optional.py" or not later.search(path.read_text()), path
@@ -75,8 +73,7 @@ def test_the_recipe_has_the_packages_that_the_project_needs():
 
 
 @pytest.mark.parametrize(
-    ("lock", "extras"),
-    [("development", ("test", "docs", "release")), ("image", ("serve", "postgres", "cluster")), ("build", ())],
+    ("lock", "extras"), [("development", ("test", "docs", "release")), ("image", ("serve", "postgres", "cluster")), ("build", ())]
 )
 def test_lock_files_have_every_package_with_hashes_and_no_index(lock, extras):
     text = (ROOT / "lock" / f"{lock}.txt").read_text()
@@ -90,9 +87,7 @@ def test_lock_files_have_every_package_with_hashes_and_no_index(lock, extras):
     ]
     for requirement in wanted:
         if "python_version <" not in requirement:
-            assert re.match(r"[\w-]+", requirement).group().lower().replace("_", "-") in names, (
-                f"make the lock file anew: {requirement}"
-            )
+            assert re.match(r"[\w-]+", requirement).group().lower().replace("_", "-") in names, f"make the lock file anew: {requirement}"
 
 
 def test_every_file_that_the_image_copies_is_there():
@@ -108,10 +103,7 @@ def test_the_steps_of_the_image_are_commands(tmp_path):
         if word == "RUN":
             moved = IMAGE["moved"](rest, tmp_path)
             assert subprocess.run(["sh", "-nc", moved], check=False).returncode == 0
-            assert (
-                not re.search(r"(?<![\w}])/(?:opt|data|src)\b", moved.replace(str(tmp_path), ""))
-                or str(tmp_path) in moved
-            )
+            assert not re.search(r"(?<![\w}])/(?:opt|data|src)\b", moved.replace(str(tmp_path), "")) or str(tmp_path) in moved
     assert [word for word, _ in DOCKERFILE].count("FROM") == 2
     assert any(word == "USER" and rest.isdigit() and rest != "0" for word, rest in DOCKERFILE)
 
@@ -124,9 +116,7 @@ def test_copies_land_where_the_image_has_them(tmp_path):
     assert (tmp_path / "src/tools/image_steps.py").exists()
 
 
-@pytest.mark.skipif(
-    not shutil.which("hadolint", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"), reason="no hadolint"
-)
+@pytest.mark.skipif(not shutil.which("hadolint", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}"), reason="no hadolint")
 def test_the_dockerfile_is_linted():
     tool = shutil.which("hadolint", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     done = subprocess.run([tool, "--no-color", "Dockerfile"], cwd=ROOT, capture_output=True, text=True)
@@ -162,9 +152,7 @@ def judge(tmp_path):
     def run(code, **environment):
         (tmp_path / "bin").mkdir(exist_ok=True)
         tool = tmp_path / "bin" / "rotorwatch"
-        tool.write_text(
-            f"#!/bin/sh\nprintf '%s\\n' \"$@\" > said.txt\necho '{{}}' > \"$4\"\necho '**Rotor 3 lost 36 %.**'\nexit {code}\n"
-        )
+        tool.write_text(f"#!/bin/sh\nprintf '%s\\n' \"$@\" > said.txt\necho '{{}}' > \"$4\"\necho '**Rotor 3 lost 36 %.**'\nexit {code}\n")
         tool.chmod(tool.stat().st_mode | stat.S_IEXEC)
         clean = {k: v for k, v in os.environ.items() if not k.startswith("GITHUB_")}
         path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
@@ -178,15 +166,7 @@ def judge(tmp_path):
 
 @pytest.mark.parametrize(
     ("code", "fail_on", "leaves"),
-    [
-        (0, "fault", 0),
-        (1, "fault", 1),
-        (3, "fault", 0),
-        (3, "undecided", 1),
-        (1, "never", 0),
-        (2, "never", 2),
-        (0, "x", 2),
-    ],
+    [(0, "fault", 0), (1, "fault", 1), (3, "fault", 0), (3, "undecided", 1), (1, "never", 0), (2, "never", 2), (0, "x", 2)],
 )
 def test_the_action_fails_when_it_is_asked_to(judge, code, fail_on, leaves):
     assert judge(code, LOGS="a.bin", FAIL_ON=fail_on).returncode == leaves
@@ -247,28 +227,10 @@ def pull_request(tmp_path):
 def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, pull_request, tmp_path):
     base = pull_request({"old.bin": b"x"})
     text = b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
-    pull_request(
-        {"readme.txt": b"x", "build.log": b"compiled\n", "prices.csv": b"timestamp,price\n1,2\n", "model.parquet": b""}
-    )
+    pull_request({"readme.txt": b"x", "build.log": b"compiled\n", "prices.csv": b"timestamp,price\n1,2\n", "model.parquet": b""})
     assert "no flight logs" in judge(1, BASE_SHA=base).stdout
-    named = [
-        "00000012.BIN",
-        "btfl.BFL",
-        "b.bbl",
-        "r.db3",
-        "r.MCAP",
-        "c.bin.bz2",
-        "d.Tlog.xz",
-        "new flight.ulg",
-        "e.bin.zip",
-    ]
-    content = {
-        "t.log": text,
-        "t.log.xz": lzma.compress(text),
-        "t.TXT": text,
-        "nameless": text,
-        "t.csv": b"time_s,gyro_x_rad_s\n",
-    }
+    named = ["00000012.BIN", "btfl.BFL", "b.bbl", "r.db3", "r.MCAP", "c.bin.bz2", "d.Tlog.xz", "new flight.ulg", "e.bin.zip"]
+    content = {"t.log": text, "t.log.xz": lzma.compress(text), "t.TXT": text, "nameless": text, "t.csv": b"time_s,gyro_x_rad_s\n"}
     pull_request({**dict.fromkeys(named, b"x"), **content})
     assert judge(1, BASE_SHA=base).returncode == 1
     said = (tmp_path / "said.txt").read_text().splitlines()
@@ -367,9 +329,7 @@ def runner(tmp_path):
                 continue
             out = tmp_path / "output.txt"
             out.write_text("")
-            given = {
-                k: re.sub(r"\$\{\{ *(.*?) *\}\}", lambda m: values.get(m[1], ""), v) for k, v in step["env"].items()
-            }
+            given = {k: re.sub(r"\$\{\{ *(.*?) *\}\}", lambda m: values.get(m[1], ""), v) for k, v in step["env"].items()}
             done = subprocess.run(
                 ["bash", "-e", "-o", "pipefail", "-c", step["run"]], cwd=tmp_path, capture_output=True, text=True,
                 env={**clean, **given, "GITHUB_OUTPUT": str(out)},
@@ -410,9 +370,7 @@ def commented(runner, tmp_path):
     """The same with a rotorwatch that only answers."""
     tool = tmp_path / "bin" / "rotorwatch"
     tool.write_text("#!/bin/sh\necho '{}' > \"$4\"\necho '**2 logs**'\nexit 1\n")
-    return lambda inputs, base="", **environment: runner(
-        {"logs": "a.bin", "comment": "true", **inputs}, base, **environment
-    )
+    return lambda inputs, base="", **environment: runner({"logs": "a.bin", "comment": "true", **inputs}, base, **environment)
 
 
 @pytest.mark.parametrize(
@@ -431,21 +389,14 @@ def test_a_comment_that_cannot_be_written_fails_nothing(commented, tmp_path, env
 
 
 def test_a_comment_on_logs_that_are_gone_is_updated(commented, tmp_path):
-    for command in (
-        ["init", "-q"],
-        ["-c", "user.name=x", "-c", "user.email=x@y.org", "commit", "-qm", "x", "--allow-empty"],
-    ):
+    for command in (["init", "-q"], ["-c", "user.name=x", "-c", "user.email=x@y.org", "commit", "-qm", "x", "--allow-empty"]):
         subprocess.run(["git", *command], cwd=tmp_path, check=True)
-    head = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True
-    ).stdout.strip()
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
     codes, _, comments = commented({"logs": ""}, head)
     assert codes == {JUDGE: 0, COMMENT: 0} and len(comments) == 1, "nothing was said, and there is nothing to say"
     codes, _, comments = commented({})
     assert codes == {JUDGE: 1, COMMENT: 0} and "**2 logs**" in comments[1][1]
     codes, _, comments = commented({"logs": ""}, head)
-    assert (
-        codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
-    )
+    assert codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
     codes, _, comments = commented({"fail-on": "sometimes"})
     assert codes == {JUDGE: 2, COMMENT: 0} and "could not be diagnosed" in comments[1][1] and len(comments) == 2

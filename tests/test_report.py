@@ -39,9 +39,7 @@ def page():
 # Words
 
 
-@pytest.mark.parametrize(
-    ("share", "text"), [(0.374, "37 %"), (-0.001, "0 %"), (0.0, "0 %"), (1.0, "100 %"), (-0.021, "-2 %")]
-)
+@pytest.mark.parametrize(("share", "text"), [(0.374, "37 %"), (-0.001, "0 %"), (0.0, "0 %"), (1.0, "100 %"), (-0.021, "-2 %")])
 def test_percent_never_says_minus_zero(share, text):
     assert report.percent(share) == text
 
@@ -60,10 +58,7 @@ def test_rotor_lists_read_as_english():
 
 
 def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fault, healthy):
-    assert [(who, at) for who, _, at, _ in checks.rows(fault)] == [
-        ("rotorwatch", "31.56 s"),
-        ("ardupilot-thrust-loss", "33.40 s"),
-    ]
+    assert [(who, at) for who, _, at, _ in checks.rows(fault)] == [("rotorwatch", "31.56 s"), ("ardupilot-thrust-loss", "33.40 s")]
     assert checks.rows(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
     px4 = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "PX4"})
     assert checks.rows(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
@@ -221,9 +216,7 @@ def test_size_stays_below_three_megabytes_for_ten_minutes_of_an_octa():
 
 
 def test_page_without_trace_events_or_rotors():
-    bare = replace(
-        hexa_diagnosis(events=(), doubts=("Nothing moved.",)), rotors=(), trace=None, comparison=(), common_mode={}
-    )
+    bare = replace(hexa_diagnosis(events=(), doubts=("Nothing moved.",)), rotors=(), trace=None, comparison=(), common_mode={})
     page = html.page(bare)
     assert "Not assessed: Nothing moved." in page and len(page) < 30_000
 
@@ -347,9 +340,7 @@ def test_the_faulty_rotor_has_one_colour_everywhere(fault, page):
     looks = colours.looks(fault)
     assert looks[3][0] == colours.FAULT and all(looks[k][0] != colours.FAULT for k in looks if k != 3)
     assert page.count(f"--rotor:{colours.FAULT}") == 2  # its row and its place in the top view
-    line = next(
-        r for r in figures.plots(fault)["loss"].renderers if r.name == "rotor 3" and hasattr(r.glyph, "line_width")
-    )
+    line = next(r for r in figures.plots(fault)["loss"].renderers if r.name == "rotor 3" and hasattr(r.glyph, "line_width"))
     assert line.glyph.line_color == colours.FAULT
 
 

@@ -53,13 +53,9 @@ def test_every_tick_is_there_with_its_values(diagnosis, file):
             assert np.allclose([r[name] for r in rows], values[:, k], rtol=1e-5)
     for k, axis in enumerate(("roll", "pitch", "yaw", "thrust")):
         assert np.allclose([m[axis] for _, m in found["/rotorwatch/residuals"]], trace.residual[:, k], rtol=1e-5)
-        assert np.allclose(
-            [m[f"{axis}_sd"] for _, m in found["/rotorwatch/residuals"]], trace.residual_sd[:, k], rtol=1e-5
-        )
+        assert np.allclose([m[f"{axis}_sd"] for _, m in found["/rotorwatch/residuals"]], trace.residual_sd[:, k], rtol=1e-5)
     assert np.allclose([m["rotor_3"] for _, m in found["/rotorwatch/motors"]], trace.command[:, 2], rtol=1e-5)
-    assert np.allclose(
-        [m["common_mode"] for _, m in found["/rotorwatch/evidence"]], trace.evidence["common mode"], rtol=1e-5
-    )
+    assert np.allclose([m["common_mode"] for _, m in found["/rotorwatch/evidence"]], trace.evidence["common mode"], rtol=1e-5)
     assert {m["threshold"] for _, m in found["/rotorwatch/evidence"]} == {6.0}
 
 
@@ -96,9 +92,7 @@ def test_the_answer_and_the_clock_are_in_the_file(diagnosis, file):
     assert about.name == "rotorwatch" and about.metadata["clock"] == "UTC" and about.metadata["verdict"] == "fault"
 
 
-@pytest.mark.parametrize(
-    "flight, first, clock", [({"boot_s": 12.0}, 12.0, "autopilot's start"), ({}, 0.0, "first record")]
-)
+@pytest.mark.parametrize("flight, first, clock", [({"boot_s": 12.0}, 12.0, "autopilot's start"), ({}, 0.0, "first record")])
 def test_without_utc_times_are_the_autopilots(tmp_path, flight, first, clock):
     found = hexa_diagnosis()
     hexa_diagnosis(flight={**found.flight, **flight}).to_mcap(tmp_path / "out.mcap")
@@ -112,9 +106,7 @@ def test_values_that_are_not_known_are_left_out(diagnosis, tmp_path):
     trace = diagnosis.trace
     command = trace.command.copy()
     command[:5] = np.nan
-    rw.Diagnosis.to_mcap(
-        hexa_diagnosis(trace=type(trace)(**{**vars(trace), "command": command})), tmp_path / "out.mcap"
-    )
+    rw.Diagnosis.to_mcap(hexa_diagnosis(trace=type(trace)(**{**vars(trace), "command": command})), tmp_path / "out.mcap")
     found, schemas = messages(tmp_path / "out.mcap")
     assert len(found["/rotorwatch/motors"]) == len(trace.time) - 5
     assert "rotor_6" in schemas["/rotorwatch/motors"][2]["properties"]

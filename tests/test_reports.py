@@ -47,9 +47,7 @@ def test_a_trouble_is_told_once_at_its_first_report(kind, text, trouble):
     assert text in event.reason and "1 more" in event.reason
 
 
-@pytest.mark.parametrize(
-    ("text", "late_s"), [("battery failsafe: error 1", reports.LATE_S), ("crash check: error 1", reports.CRASHED_S)]
-)
+@pytest.mark.parametrize(("text", "late_s"), [("battery failsafe: error 1", reports.LATE_S), ("crash check: error 1", reports.CRASHED_S)])
 def test_what_ended_a_flight_is_written_down_a_moment_later(text, late_s):
     """A crash check looks for seconds whether the vehicle lies on its side."""
     assert len(reports.claims(flight(Message(60.0 + 0.9 * late_s, "error", text)), AIR)) == 1
@@ -95,9 +93,7 @@ def test_a_voltage_below_the_autopilots_own_limit_is_told_with_both():
 
 
 def test_the_story_of_a_fall_has_it_in_its_place():
-    lost = hexa_event(
-        kind=LOST, rotors=(), loss=(), interval=(), onset_s=31.0, detected_s=31.5, extra={"cause": "controller"}
-    )
+    lost = hexa_event(kind=LOST, rotors=(), loss=(), interval=(), onset_s=31.0, detected_s=31.5, extra={"cause": "controller"})
     (told,) = reports.claims(flight(Message(30.2, "text", "EKF3 lane switch 1")), AIR)
     lines = story.narrate((told, lost), None, 6, hops=AIR)
     assert [line.time_s for line in lines] == sorted(line.time_s for line in lines)
@@ -133,9 +129,7 @@ def limited(name, values, autopilot="ArduPilot", lost=()):
 def test_vibration_beyond_the_autopilots_limit(autopilot, limit):
     during = (TIME > 20.0) & (TIME < 26.0)
     (event,) = limited("vibration", np.where(during, 1.2 * limit, 0.5 * limit), autopilot)
-    assert (
-        event.extra["trouble"] == "vibration" and abs(event.onset_s - 20.0) < 0.3 and f"{limit:.3g} m/s" in event.reason
-    )
+    assert event.extra["trouble"] == "vibration" and abs(event.onset_s - 20.0) < 0.3 and f"{limit:.3g} m/s" in event.reason
     assert limited("vibration", np.where(during, 0.95 * limit, 1.0), autopilot) == ()
     knock = (TIME > 20.0) & (TIME < 22.0)
     assert limited("vibration", np.where(knock, 300.0, 1.0), autopilot) == ()
@@ -175,11 +169,7 @@ def test_a_voltage_that_falls_by_more_than_its_current_explains():
     amps = 20.0 + 5.0 * np.sin(TIME)
     sound = 16.0 - 0.02 * TIME - 0.05 * amps
     (event,) = discharged(np.where(TIME > 40.0, sound - 4.0, sound), amps)
-    assert (
-        event.extra["trouble"] == "power"
-        and abs(event.onset_s - 40.0) < 0.5
-        and "more than its current explains" in event.reason
-    )
+    assert event.extra["trouble"] == "power" and abs(event.onset_s - 40.0) < 0.5 and "more than its current explains" in event.reason
     pulls = np.where((TIME > 40.0) & (TIME < 46.0), 90.0, amps)
     assert discharged(16.0 - 0.02 * TIME - 0.05 * pulls, pulls) == ()  # 4.5 V less, which its resistance takes
     assert discharged(np.where(np.abs(TIME - 40.0) < 1.0, sound - 4.0, sound), amps) == ()  # and is back
@@ -205,9 +195,7 @@ def answered(cause, *messages, onset_s=40.0, rotors=()):
     told = reports.claims(flight(*messages), AIR)
     events = [*told, falls._with_reports(lost, told)]
     if rotors:
-        events.append(
-            hexa_event(rotors=rotors, onset_s=onset_s, detected_s=onset_s + 0.4, loss=(0.95,), interval=((0.9, 1.0),))
-        )
+        events.append(hexa_event(rotors=rotors, onset_s=onset_s, detected_s=onset_s + 0.4, loss=(0.95,), interval=((0.9, 1.0),)))
     return hexa_diagnosis(events=tuple(sorted(events, key=lambda e: e.detected_s)))
 
 
@@ -230,9 +218,7 @@ def test_a_report_clears_no_rotor_and_accuses_none():
 
 
 def test_a_rotor_that_is_shown_leads_before_what_was_reported():
-    answer = answered(
-        "rotor", Message(30.0, "text", "Low battery"), Message(41.0, "error", "failure detector: motor"), rotors=(3,)
-    )
+    answer = answered("rotor", Message(30.0, "text", "Low battery"), Message(41.0, "error", "failure detector: motor"), rotors=(3,))
     assert answer.verdict == "fault" and answer.headline.startswith("Rotor 3 (front left) lost 95 %")
     assert "Low battery" in answer.headline and "failure detector" not in answer.headline
 

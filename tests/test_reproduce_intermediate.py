@@ -72,12 +72,7 @@ def test_more_than_four_rotors(result):
 
 @pytest.mark.thorough
 def test_it_can_be_written_down_and_drawn(result):
-    assert set(json.loads(result.to_json())["figures"]) >= {
-        "scenario_1",
-        "scenario_4",
-        "beyond_four",
-        "lmi_paper_feasible",
-    }
+    assert set(json.loads(result.to_json())["figures"]) >= {"scenario_1", "scenario_4", "beyond_four", "lmi_paper_feasible"}
     drawn = study.figures(result)
     names = ("losses", "channels", "position", "bound", "wrong-models")
     assert set(drawn) == {f"intermediate-{name}" for name in names}
@@ -164,11 +159,7 @@ def test_faults_at_the_printed_times_and_the_procedure_of_table_1(result):
     for row in result.figures["printed_times"]["flights"].values():
         np.testing.assert_allclose(row["final"], row["true"], atol=2e-3)
     rows = result.figures["table_1"]["rows"]
-    assert {r["reading"]: r["feasible"] for r in rows} == {
-        "as printed": False,
-        "its inverse": True,
-        "this project's": True,
-    }
+    assert {r["reading"]: r["feasible"] for r in rows} == {"as printed": False, "its inverse": True, "this project's": True}
     assert claim(result, "Table 1").verdict == "partly" and claim(result, "Table 1").only_if
     assert claim(result, "The model meets").verdict == claim(result, "Faults at the printed").verdict == "holds"
     shown = study.tables(json.loads(result.to_json())["figures"])

@@ -68,9 +68,7 @@ def numbers(better, worse):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "better, worse, verdict", [(9, 0, "holds"), (9, 2, "partly"), (6, 0, "partly"), (2, 3, "not reproduced")]
-)
+@pytest.mark.parametrize("better, worse, verdict", [(9, 0, "holds"), (9, 2, "partly"), (6, 0, "partly"), (2, 3, "not reproduced")])
 def test_the_verdict_on_the_moving_horizon_follows_from_the_cases(better, worse, verdict):
     claim = next(c for c in study.claims(numbers(better, worse)) if c.claim.startswith("The moving horizon makes"))
     assert claim.verdict == verdict and f"clearly better in {better}, worse in {worse} of 12" in claim.measured

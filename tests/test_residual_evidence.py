@@ -34,10 +34,7 @@ def flight(odds=(), trim=(), mode=()):
 
 
 def found(*events, **given):
-    return [
-        (s.rotors, round(s.onset_s), round(s.end_s))
-        for s in residual_evidence.find(*flight(**given), HYP, LIMIT, events, B)
-    ]
+    return [(s.rotors, round(s.onset_s), round(s.end_s)) for s in residual_evidence.find(*flight(**given), HYP, LIMIT, events, B)]
 
 
 def test_a_second_rotor_over_the_threshold_beside_a_known_loss():
@@ -83,10 +80,7 @@ def test_a_trim_that_came_out_changed_as_by_a_rotors_loss():
 
 
 def test_a_loss_that_may_be_nothing_accuses_nobody_and_is_said():
-    some, none = (
-        hexa_event(interval=((0.02, 0.1),)),
-        hexa_event(rotors=(3,), onset_s=20.0, end_s=None, interval=((0.0, 0.1),)),
-    )
+    some, none = (hexa_event(interval=((0.02, 0.1),)), hexa_event(rotors=(3,), onset_s=20.0, end_s=None, interval=((0.0, 0.1),)))
     assert events.accuses(some) and not events.accuses(none)
     assert events.accuses(hexa_event(interval=((0.0, 0.1),), alternatives=((4,),)))  # accuses nobody alone
     assert residual_evidence.faint((none,), (), 60.0) == (residual_evidence.claim((3,), 20.0, 60.0),)

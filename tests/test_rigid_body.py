@@ -48,12 +48,7 @@ def test_a_weak_rotor_drops_its_corner_and_turns_against_its_spin():
 
 
 @settings(deadline=None, max_examples=trials(60))
-@given(
-    st.tuples(*[small] * 3),
-    st.tuples(*[small] * 3),
-    st.tuples(*[st.floats(0, 1)] * 4),
-    st.tuples(*[st.floats(0, 1)] * 4),
-)
+@given(st.tuples(*[small] * 3), st.tuples(*[small] * 3), st.tuples(*[st.floats(0, 1)] * 4), st.tuples(*[st.floats(0, 1)] * 4))
 def test_it_turns_and_pushes_as_rotation_matrices_do(angles, omega, u, theta):
     """dR/dt = R skew(omega); m dv/dt = m g - R F e_3; J d(omega)/dt = torque - omega x J omega."""
     angles, omega, thrust = np.array(angles), np.array(omega), np.array(u) * (1 - np.array(theta))
@@ -97,10 +92,7 @@ def test_losses_act_linearly_and_the_step_is_eulers():
 def test_the_airframe_brings_the_papers_noise():
     np.testing.assert_allclose(PLANT.R(HOVER), np.full(6, 1e-7))
     np.testing.assert_allclose(PLANT.Q(0.01), np.diag([1e-5] * 6 + [1e-8] * 6))
-    assert (
-        PLANT.y_names == ("north", "east", "down", "roll", "pitch", "yaw")
-        and PLANT.y_units == ("m",) * 3 + ("rad",) * 3
-    )
+    assert PLANT.y_names == ("north", "east", "down", "roll", "pitch", "yaw") and PLANT.y_units == ("m",) * 3 + ("rad",) * 3
 
 
 def test_what_is_measured_can_be_chosen():

@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch.errors import ConfigError
-from rotorwatch_lab.experiments.studies import (
-    ruav_control,
-    ruav_filters,
-    ruav_flight,
-    ruav_identification,
-    ruav_linearisation,
-)
+from rotorwatch_lab.experiments.studies import ruav_control, ruav_filters, ruav_flight, ruav_identification, ruav_linearisation
 from rotorwatch_lab.experiments.studies import ruav_flight_test as study
 from rotorwatch_lab.experiments.studies.reproduction import plain
 from rotorwatch_lab.maths import h_infinity
@@ -100,9 +94,7 @@ def test_controllers_fly_on_what_is_measured(designs, flown):
     off = [ruav_flight.ATTITUDE[0] + blur[0] - roll, ruav_flight.ATTITUDE[1] + blur[1] - pitch]
     cyclic = K @ np.concatenate([[0, 0, -turn], off, np.zeros(3)])
     lift = ruav_flight.hover(SYSTEM)[1][2, 0]
-    np.testing.assert_allclose(
-        flown.command[0], SYSTEM.trim + np.concatenate([[climb / lift], cyclic]) + dither, rtol=1e-9
-    )
+    np.testing.assert_allclose(flown.command[0], SYSTEM.trim + np.concatenate([[climb / lift], cyclic]) + dither, rtol=1e-9)
 
 
 def test_the_sure_floor_holds_pushes_and_a_tilted_gravity():
@@ -133,9 +125,7 @@ def test_an_aekf_that_starts_again_finds_the_coefficients(flown, designs):
     assert abs(restarted.middle[at, roll] - 0.4) < 0.1 < abs(flown.middle[at, roll] - 0.4)
 
 
-def numbers(
-    before=0.05, esmf=(0.1, 0.1, 0.1), roll_only=(0.1, 0.1, 0.1), aekf=(1.0, 1.0, 1.0), restarted=True, apart=1e-6
-):
+def numbers(before=0.05, esmf=(0.1, 0.1, 0.1), roll_only=(0.1, 0.1, 0.1), aekf=(1.0, 1.0, 1.0), restarted=True, apart=1e-6):
     """The numbers of a flight test as they might be."""
 
     def one(after):

@@ -129,9 +129,7 @@ def test_bounds_are_for_one_rotor_that_loses_thrust_at_once_and_for_good(changes
     assert (found is not None) == clear and (not clear or found["rotor"] == 3)
 
 
-@pytest.mark.parametrize(
-    "upset_from, ramp, at", [(np.inf, 0.0, 40.0), (np.inf, 5.0, 45.0), (36.0, 0.0, 35.9), (np.inf, 40.0, 59.9)]
-)
+@pytest.mark.parametrize("upset_from, ramp, at", [(np.inf, 0.0, 40.0), (np.inf, 5.0, 45.0), (36.0, 0.0, 35.9), (np.inf, 40.0, 59.9)])
 def test_losses_are_compared_ten_seconds_after_the_fault_is_all_there_or_when_last_judged(upset_from, ramp, at):
     f = flown(fault(ramp_s=ramp), upset_from=upset_from)
     assert f.ticks.time[score._compared(f)] == pytest.approx(at)
@@ -192,9 +190,7 @@ def test_peaks_have_to_last_as_long_as_an_announcement_needs():
             out[k : k + ticks] = value
         return out
 
-    found = score._peaks(
-        f, statistic((15.0, 2, 4.0), (20.0, 1, 8.0), (5.0, 9, 9.0), (31.5, 2, 6.0), (33.0, 2, 7.0)), ONSET
-    )
+    found = score._peaks(f, statistic((15.0, 2, 4.0), (20.0, 1, 8.0), (5.0, 9, 9.0), (31.5, 2, 6.0), (33.0, 2, 7.0)), ONSET)
     assert set(found) == {"peak", *(f"peak_{s:g}s" for s in score.RISE_S)}
     shown = {key: found[key] for key in ("peak", "peak_1s", "peak_2s", "peak_5s", "peak_10s")}
     assert shown == {"peak": 4.0, "peak_1s": -9.0, "peak_2s": 6.0, "peak_5s": 7.0, "peak_10s": 7.0}

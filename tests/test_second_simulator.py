@@ -64,9 +64,7 @@ def test_flights_side_by_side_are_moved_by_theirs_above_the_ground(second):
     np.testing.assert_allclose(force[:, 0], low_force, atol=1e-12)
     vehicle = second.Vehicle(*[np.asarray(getattr(numbers.craft, name), float) for name in second.NUMBERS])
     high = vehicle.step(*bodies[1], w, w, np.zeros(3), theta, dt)
-    np.testing.assert_allclose(
-        np.concatenate([body.v[:, 1], body.omega[:, 1], force[:, 1]]), high[[3, 4, 5, 10, 11, 12, 13, 14, 15]]
-    )
+    np.testing.assert_allclose(np.concatenate([body.v[:, 1], body.omega[:, 1], force[:, 1]]), high[[3, 4, 5, 10, 11, 12, 13, 14, 15]])
     # A rotor with a loss of 40 %: the vehicle begins to roll and pitch to its side.
     assert np.abs(high[10:12]).max() > 1e-3
     assert second.STEPS.made == 1

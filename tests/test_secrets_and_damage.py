@@ -58,19 +58,7 @@ def store(tmp_path):
     place = tmp_path / "fleet.db"
     told = {"flight": {}, "verdict": "healthy", "reason": "", "rotors": [], "events": []}
     with Store(place) as made:
-        made.add(
-            Entry(
-                64 * "0",
-                "",
-                "a.bin",
-                1,
-                identity="serial 1",
-                airborne_s=60.0,
-                duration_s=60.0,
-                rotors=4,
-                diagnosis=told,
-            )
-        )
+        made.add(Entry(64 * "0", "", "a.bin", 1, identity="serial 1", airborne_s=60.0, duration_s=60.0, rotors=4, diagnosis=told))
     return place
 
 

@@ -105,9 +105,7 @@ def test_sections_are_complete_and_in_order():
     assert [s.order for s in found] == sorted({s.order for s in found})
     assert len({s.name for s in found}) == len(found)
     for section in found:
-        assert all(hasattr(section, part) for part in sections.PARTS) and (
-            hasattr(section, "words") or hasattr(section, "page")
-        )
+        assert all(hasattr(section, part) for part in sections.PARTS) and (hasattr(section, "words") or hasattr(section, "page"))
         assert set(getattr(section, "views", ())) <= set(sections.VIEWS)
 
 

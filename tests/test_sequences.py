@@ -130,10 +130,7 @@ def test_every_flight_is_a_valid_scenario_with_what_its_kind_says():
         assert rotors and all(1 <= r <= sequences.FRAMES[s.airframe["frame"]] for r in rotors)
         assert len(set(rotors)) == (1 if kind in ("recovery", "change", "intermittent") else 2), (kind, rotors)
         for f in s.faults:
-            assert (
-                0.1 <= f["strength"] <= 0.5
-                and 18.0 <= f["onset_s"] < sequences.SCENARIO["duration_s"] - sequences.SETTLE_S
-            )
+            assert 0.1 <= f["strength"] <= 0.5 and 18.0 <= f["onset_s"] < sequences.SCENARIO["duration_s"] - sequences.SETTLE_S
         if kind == "arm" and s.airframe["frame"] in sequences.ARMS:
             assert tuple(sorted(rotors)) in [tuple(sorted(a)) for a in sequences.ARMS[s.airframe["frame"]]]
     assert len(kinds) == len(set(sequences.KINDS)) * len(sequences.FRAMES)
@@ -219,10 +216,7 @@ def test_every_flight_is_flown_once_in_batches_of_one_cell(monkeypatch):
 
     def part(work):
         asked.append(work)
-        return [
-            {"flight": k, "at": 50.0 - k, "kind": "pair", "frame": "y6", "induced_m_s": 6.0, "outcome": "right"}
-            for k in work[1]
-        ]
+        return [{"flight": k, "at": 50.0 - k, "kind": "pair", "frame": "y6", "induced_m_s": 6.0, "outcome": "right"} for k in work[1]]
 
     monkeypatch.setattr(sequences, "_part", part)
     result = sequences.run(53, seed=4, jobs=1, progress=lambda *what: told.append(what))
@@ -264,11 +258,7 @@ def test_a_state_ends_a_second_before_a_crash_and_lasts_five():
     faults = [(2, 20.0, 60.0, 0.3)]
     (_, last) = sequences.states(flown(faults, lost_s=26.2), [])
     assert last.at == pytest.approx(26.2 - 1.0 - DT - sequences.MARGIN_S, abs=DT)
-    assert (
-        len(sequences.states(flown(faults, lost_s=26.01), []))
-        == 2
-        > len(sequences.states(flown(faults, lost_s=25.9), []))
-    )
+    assert len(sequences.states(flown(faults, lost_s=26.01), [])) == 2 > len(sequences.states(flown(faults, lost_s=25.9), []))
 
 
 def test_a_change_of_two_percent_is_no_change_of_state():

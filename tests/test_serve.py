@@ -108,15 +108,7 @@ def test_other_computers_need_a_token():
 def test_only_this_servers_names_are_answered(served, path):
     """A page of another site whose name is turned to this address would be of the same origin."""
     client, _ = served
-    for host in (
-        "evil.example",
-        "evil.example:8000",
-        "127.0.0.1.evil.example",
-        "",
-        "localhost@evil.example",
-        "127.0.0.1:x",
-        "[::1",
-    ):
+    for host in ("evil.example", "evil.example:8000", "127.0.0.1.evil.example", "", "localhost@evil.example", "127.0.0.1:x", "[::1"):
         answer = client.get(path, headers={"Host": host})
         assert answer.status_code == 421 and "address" in answer.text
     if path != "/api/live":
@@ -313,9 +305,7 @@ def test_a_drop_now_and_then_keeps_no_connection(listening, first):
 def test_forms_for_the_token_that_do_not_end_lock_nobody_out(listening):
     """Nor do they end an upload of somebody who is let in."""
     head = b"POST %s HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 5\r\n"
-    upload = connected(
-        listening, head % b"/slow" + b"Authorization: Bearer %s\r\nConnection: close\r\n\r\nb" % TOKEN.encode()
-    )
+    upload = connected(listening, head % b"/slow" + b"Authorization: Bearer %s\r\nConnection: close\r\n\r\nb" % TOKEN.encode())
     time.sleep(0.1)
     slow = []
     for _ in range(12):
@@ -462,9 +452,7 @@ def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
     killed = flights.folder("incoming") / "run-killed" / "one"
     killed.mkdir(parents=True)
     (killed / "log-a.bin").write_bytes(b"x")
-    (killed / "complete.json").write_text(
-        json.dumps({"name": "a.bin", "file": "../log-a.bin", "digest": 64 * "0", "size": 1})
-    )
+    (killed / "complete.json").write_text(json.dumps({"name": "a.bin", "file": "../log-a.bin", "digest": 64 * "0", "size": 1}))
     (killed.parent / "half").mkdir()
     (killed.parent / "half" / "log-b.bin").write_bytes(b"x")
     (killed.parent / "lock").touch()
@@ -478,9 +466,7 @@ def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
 
 def kept(flights):
     """Names of the logs that wait for being judged."""
-    return sorted(
-        json.loads(note.read_text())["name"] for note in flights.folder("incoming").glob("run-*/*/complete.json")
-    )
+    return sorted(json.loads(note.read_text())["name"] for note in flights.folder("incoming").glob("run-*/*/complete.json"))
 
 
 def run_uploads(flights, action, told=lambda row: None, trouble=lambda text: None, limits=None):
@@ -601,9 +587,7 @@ def test_what_a_next_start_cannot_take_over_stays(quick, monkeypatch):
     left = quick.folder("incoming") / "run-killed" / "one"
     left.mkdir(parents=True)
     (left / "log-a.bin").write_bytes(b"x")
-    (left / "complete.json").write_text(
-        json.dumps({"name": "a.bin", "file": "log-a.bin", "digest": 64 * "0", "size": 1})
-    )
+    (left / "complete.json").write_text(json.dumps({"name": "a.bin", "file": "log-a.bin", "digest": 64 * "0", "size": 1}))
     (left.parent / "lock").touch()
 
     def full(*_):
@@ -816,9 +800,7 @@ def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
     assert state["named"] == [3] and state["looks"][2][0] == live.colours.FAULT and len(state["points"]) > 50
 
 
-@pytest.mark.parametrize(
-    "name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor fault")]
-)
+@pytest.mark.parametrize("name, verdict, words", [("quad-off-1", "fault", "Rotor 2"), ("disarmed-1", "crashed", "Not a rotor fault")])
 def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_path, name, verdict, words):
     crash = Path(__file__).parents[2] / "shared" / "flights" / "crash" / f"{name}.bin.xz"
     if not crash.exists():
@@ -837,9 +819,7 @@ def test_a_crash_that_was_watched_is_lost_on_the_page_and_listed_as_a_crash(tmp_
     found = Diagnosis.from_dict(flights.diagnosis(row["hash"]))
     assert len(found.story) >= 3 and "departed controlled flight" in flights.report(row["hash"])
     state = feed.state()["vehicles"][0]
-    assert state["state"] == "LOST" and any(
-        e["kind"] == "fault" and "loss of control" in e["text"] for e in state["events"]
-    )
+    assert state["state"] == "LOST" and any(e["kind"] == "fault" and "loss of control" in e["text"] for e in state["events"])
 
 
 def test_the_page_has_a_word_for_every_state():
@@ -867,6 +847,4 @@ def test_a_store_that_cannot_be_reached_is_tried_again(tmp_path, why, monkeypatc
         if not rows:
             store_writer._thread.join(0.01)
     store_writer.stop()
-    assert (
-        rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0] and "/srv/fleet.db" not in said[0]
-    )
+    assert rows == [{"hash": "0" * 64}] and "udp:1/1 is not in the list yet" in said[0] and "/srv/fleet.db" not in said[0]

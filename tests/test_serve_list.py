@@ -94,11 +94,7 @@ def test_a_row_says_how_much_and_when(read):
     answer = read.get(f"/api/flights/{FAULT}").json()
     main = answer["events"][answer["main_event"]]
     assert row["loss"] == max(main["loss"]) > 0.3 and row["onset_s"] == main["onset_s"]
-    assert read.get("/api/aircraft").json()["aircraft"][0] | {"key": ""} == {
-        "key": "",
-        "name": "Quad <7>",
-        "flights": 2,
-    }
+    assert read.get("/api/aircraft").json()["aircraft"][0] | {"key": ""} == {"key": "", "name": "Quad <7>", "flights": 2}
 
 
 @pytest.mark.parametrize(
@@ -216,12 +212,7 @@ def test_a_flight_is_deleted_once_and_for_all_tabs(made):
     assert answer.status_code == 200 and answer.json()["hash"] == FAULT
     assert not flights.page(FAULT).exists() and [p.name for p in flights.folder("").glob("*.*")] == []
     assert "event: deleted" in hub._recent[-1][1] and FAULT in hub._recent[-1][1]
-    for path in (
-        f"/api/flights/{FAULT}",
-        f"/flights/{FAULT}",
-        f"/flights/{FAULT}/download",
-        f"/compare?a={FAULT}&b={HEALTHY}",
-    ):
+    for path in (f"/api/flights/{FAULT}", f"/flights/{FAULT}", f"/flights/{FAULT}/download", f"/compare?a={FAULT}&b={HEALTHY}"):
         assert client.get(path).status_code == 404
     sent = len(hub._recent)
     again = client.delete(f"/api/flights/{FAULT}")
@@ -319,10 +310,7 @@ def test_a_database_that_the_environment_names_is_served(server, tmp_path, monke
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     flights = Flights()
     fill(flights)
-    assert (
-        flights.page(FAULT) == tmp_path / "rotorwatch" / "fleet-pages" / f"{FAULT}.html"
-        and flights.page(FAULT).exists()
-    )
+    assert flights.page(FAULT) == tmp_path / "rotorwatch" / "fleet-pages" / f"{FAULT}.html" and flights.page(FAULT).exists()
     assert flights.delete(FAULT)["hash"] == FAULT and not flights.page(FAULT).exists()
     assert [f["hash"] for f in flights.rows(10, sort="-loss")["flights"]] == [HEALTHY, OLD]
     flights.close()

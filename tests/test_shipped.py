@@ -19,9 +19,7 @@ from rotorwatch.engine.host import shipping
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
-needs_compiler = pytest.mark.skipif(
-    not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang"
-)
+needs_compiler = pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="needs a C compiler: install gcc or clang")
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +47,7 @@ def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, mon
     assert found(lambda told, place: told.update(digest="0" * 64)) is None
     assert found(lambda told, place: told.update(target="plan9 vax")) is None
     assert found(lambda told, place: [path.unlink() for path in place.glob("engine*.so")]) is None
-    assert (
-        found(lambda told, place: [path.write_bytes(b"of somebody else") for path in place.glob("engine*.so")]) is None
-    )
+    assert found(lambda told, place: [path.write_bytes(b"of somebody else") for path in place.glob("engine*.so")]) is None
     monkeypatch.setattr(shipped, "FOLDER", tmp_path / "nowhere")
     assert ENGINE._shipped() is None
 
@@ -70,11 +66,7 @@ def test_a_processor_gets_what_it_runs(tmp_path, monkeypatch):
     shipping.ship(tmp_path, portable=True)
     assert {path.name for path in tmp_path.glob("*.so")} == {"engine-x86-64-v3.so", "engine-x86-64.so"}
     monkeypatch.setattr(shipped, "FOLDER", tmp_path)
-    for levels, expected in (
-        (("x86-64-v3", "x86-64"), "engine-x86-64-v3.so"),
-        (("x86-64",), "engine-x86-64.so"),
-        (("",), None),
-    ):
+    for levels, expected in ((("x86-64-v3", "x86-64"), "engine-x86-64-v3.so"), (("x86-64",), "engine-x86-64.so"), (("",), None)):
         monkeypatch.setattr(shipped, "levels", lambda levels=levels: levels)
         found = ENGINE._shipped()
         assert (found and found.name) == expected
@@ -123,9 +115,7 @@ def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder):
 def test_machine_code_is_made_once_where_none_came(tmp_path):
     """By the first who needs it, in seconds."""
     fast, real = tmp_path / "fast", shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    fast.write_text(
-        f'#!/bin/sh\ncase "$*" in *rw_engine.c*) echo built >> {tmp_path}/count;; esac\nexec {real} "$@" -O0\n'
-    )
+    fast.write_text(f'#!/bin/sh\ncase "$*" in *rw_engine.c*) echo built >> {tmp_path}/count;; esac\nexec {real} "$@" -O0\n')
     fast.chmod(0o755)
     env = {"CC": str(fast), "ROTORWATCH_CACHE": str(tmp_path / "cache")}
     for _ in range(2):
@@ -164,10 +154,7 @@ def test_healthy_flights_teach_without_either(folder, tmp_path):
 
 
 def test_what_needs_more_says_so_in_one_sentence(folder, tmp_path):
-    for arguments in (
-        ["survive", "--vehicle", "ardupilot-quad-x", "--quiet"],
-        ["diagnose", str(SAMPLE), "--estimator", "ekf"],
-    ):
+    for arguments in (["survive", "--vehicle", "ardupilot-quad-x", "--quiet"], ["diagnose", str(SAMPLE), "--estimator", "ekf"]):
         done = without(folder, *arguments)
         (line,) = done.stderr.strip().splitlines()
         assert done.returncode == 2 and "pip install" in line and "please report" not in line
@@ -177,29 +164,14 @@ def test_a_package_without_machine_code_runs_by_python(tmp_path):
     """On a computer without a compiler `pip install .` still gives something that runs, and brings nothing more."""
     root = Path(__file__).parents[1]
     environment = {k: v for k, v in os.environ.items() if k not in ("CC", "ROTORWATCH_SHIP")} | {"PATH": str(tmp_path)}
-    line = [
-        sys.executable,
-        "-m",
-        "pip",
-        "wheel",
-        "-q",
-        "--no-deps",
-        "--no-build-isolation",
-        "-w",
-        str(tmp_path),
-        str(root),
-    ]
+    line = [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), str(root)]
     subprocess.run(line, env=environment, check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*-py3-none-any.whl")
     with zipfile.ZipFile(wheel) as parts:
         names = parts.namelist()
         metadata = parts.read(next(name for name in names if name.endswith("METADATA"))).decode()
     assert not [name for name in names if "compiling/built" in name]
-    needed = {
-        line.split()[1].split(">")[0]
-        for line in metadata.splitlines()
-        if line.startswith("Requires-Dist") and ";" not in line
-    }
+    needed = {line.split()[1].split(">")[0] for line in metadata.splitlines() if line.startswith("Requires-Dist") and ";" not in line}
     assert "numpy" in needed and not {"jax", "scipy"} & needed
 
 

@@ -11,18 +11,7 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch_lab.simulation import (
-    control,
-    dynamics,
-    faults,
-    loop,
-    record_of,
-    rotation,
-    scenario,
-    simulate_batch,
-    trajectories,
-    wind,
-)
+from rotorwatch_lab.simulation import control, dynamics, faults, loop, record_of, rotation, scenario, simulate_batch, trajectories, wind
 from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 from rotorwatch_lab.simulation.prepare import induced_velocity, plan, vehicle
 
@@ -101,9 +90,7 @@ def test_symmetric_top_precesses():
     craft = craft_of(thrust_max=np.zeros(6), J=np.diag([a, a, c]), J_inverse=np.diag([1 / a, 1 / a, 1 / c]))
     body, _, _ = flown(craft, body_of(omega=(2, 0, 5)), 0.0, 0.0, 400)
     turn = (c - a) / a * 5 * DT * np.arange(1, 401)
-    assert np.allclose(
-        body.omega, np.stack([2 * np.cos(turn), 2 * np.sin(turn), 5 + 0 * turn], axis=1), rtol=0, atol=1e-7
-    )
+    assert np.allclose(body.omega, np.stack([2 * np.cos(turn), 2 * np.sin(turn), 5 + 0 * turn], axis=1), rtol=0, atol=1e-7)
 
 
 def test_terminal_velocity():
@@ -238,9 +225,7 @@ def test_law_notices(name, monkeypatch):
     assert not LAWS[law](value), value
 
 
-@pytest.mark.parametrize(
-    "autopilot, frame", [("ardupilot", "octaquad-x"), ("ardupilot", "y6"), ("px4", "octaquad-x"), ("px4", "y6")]
-)
+@pytest.mark.parametrize("autopilot, frame", [("ardupilot", "octaquad-x"), ("ardupilot", "y6"), ("px4", "octaquad-x"), ("px4", "y6")])
 def test_lower_rotors_of_coaxial_arms_give_their_share(autopilot, frame):
     made = scenario.from_table({"autopilot": autopilot, "airframe": {"frame": frame, "lower_rotor": 0.8}})
     rotors, thrust = vehicle(made).rotors, np.asarray(plan(made).craft.thrust_max)
@@ -261,13 +246,7 @@ def test_same_as_a_simulator_written_elsewhere(monkeypatch):
     craft = plan(asked("quad-x")).craft
     J = np.diag([other["Ixx"], other["Iyy"], other["Izz"]])
     craft = craft._replace(
-        **{
-            "mass": np.array(other["mass"]),
-            "J": J,
-            "J_inverse": np.linalg.inv(J),
-            "x": places[:, 0],
-            "y": -places[:, 1],
-        },
+        **{"mass": np.array(other["mass"]), "J": J, "J_inverse": np.linalg.inv(J), "x": places[:, 0], "y": -places[:, 1]},
         **{"z": np.array(0.0), "spin": -other["rotor_directions"].astype(float), "rotor_momentum": np.array(0.0)},
         **{"thrust_max": np.full(4, other["k_eta"] * full**2), "drag_ratio": np.array(other["k_m"] / other["k_eta"])},
         **{"k_d": np.array(other["k_d"] * full), "k_z": np.array(other["k_z"] * full), "lag": np.array(0.03)},
@@ -309,9 +288,7 @@ def gust_covariance(air, dt):
 
     A = np.array(jax.jacfwd(step)(np.zeros(n), np.zeros(6)))
     B = np.array(jax.jacfwd(step, argnums=1)(np.zeros(n), np.zeros(6)))
-    C = np.array(
-        jax.jacfwd(lambda x: jnp.concatenate([wind.velocity(air, shape(x)) - air.mean, shape(x).turning]))(np.zeros(n))
-    )
+    C = np.array(jax.jacfwd(lambda x: jnp.concatenate([wind.velocity(air, shape(x)) - air.mean, shape(x).turning]))(np.zeros(n)))
     from scipy.linalg import solve_discrete_lyapunov
 
     P = solve_discrete_lyapunov(A, B @ B.T)
@@ -323,9 +300,7 @@ def test_turbulence_has_the_standards_size_and_length():
     h = 10.0 / 0.3048
     assert air.sigma[2] == pytest.approx(0.6)
     assert air.sigma[0] == pytest.approx(0.6 / (0.177 + 0.000823 * h) ** 0.4)
-    assert air.tau == pytest.approx(
-        np.array([h / (0.177 + 0.000823 * h) ** 1.2, h / (0.177 + 0.000823 * h) ** 1.2, h]) * 0.3048 / 6
-    )
+    assert air.tau == pytest.approx(np.array([h / (0.177 + 0.000823 * h) ** 1.2, h / (0.177 + 0.000823 * h) ** 1.2, h]) * 0.3048 / 6)
     now, next_ = gust_covariance(air, 0.01)
     assert np.allclose(np.diag(now)[:3], air.sigma**2, rtol=0.01)
     assert np.allclose(np.diag(now)[3:], air.turn_sigma**2, rtol=1e-9)
@@ -347,13 +322,7 @@ def test_no_wind_no_gusts():
 SHARES = st.floats(-1, 1)
 
 
-@given(
-    roll=SHARES,
-    pitch=SHARES,
-    yaw=SHARES,
-    throttle=st.floats(0.05, 0.95),
-    frame=st.sampled_from(["quad-x", "hexa-x", "octaquad-x"]),
-)
+@given(roll=SHARES, pitch=SHARES, yaw=SHARES, throttle=st.floats(0.05, 0.95), frame=st.sampled_from(["quad-x", "hexa-x", "octaquad-x"]))
 @settings(max_examples=trials(60), deadline=None)
 def test_mixer(roll, pitch, yaw, throttle, frame):
     M = mixer_of(frame)
@@ -397,15 +366,7 @@ def test_faults_come_and_go():
         {"kind": "loss", "rotor": 4, "onset_s": 12.0, "strength": 0.5, "period_s": 2.0, "duty": 0.25},
     ]
     table = plan(asked(faults=rows)).faults
-    for t, second, fourth in (
-        (9.99, 0, 0),
-        (10, 0, 0),
-        (11, 0.1, 0),
-        (14.2, 0.4, 0.5),
-        (14.6, 0.4, 0),
-        (20, 0, 0.5),
-        (30.4, 0, 0.5),
-    ):
+    for t, second, fourth in ((9.99, 0, 0), (10, 0, 0), (11, 0.1, 0), (14.2, 0.4, 0.5), (14.6, 0.4, 0), (20, 0, 0.5), (30.4, 0, 0.5)):
         theta = faults.loss(table, faults.strength(table, t))
         assert np.asarray(theta) == pytest.approx([0, second, 0, fourth], abs=1e-9), t
 
@@ -470,9 +431,7 @@ def test_ways_are_followed(k):
     way = plan(flights[k]).way
     ask = asked_of(way)
     part = slice(1200, 3000)
-    assert np.linalg.norm(records[k].p - ask.p, axis=1)[part].max() < (
-        2.5 if flights[k].trajectory["kind"] == "aggressive" else 1.2
-    )
+    assert np.linalg.norm(records[k].p - ask.p, axis=1)[part].max() < (2.5 if flights[k].trajectory["kind"] == "aggressive" else 1.2)
     assert records[k].p[-1, 2] > 0 and np.abs(records[k].v[-1]).max() < 0.01 and records[k].w[-1].max() < 0.01
 
 

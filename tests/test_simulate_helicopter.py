@@ -73,15 +73,11 @@ def test_still_air_is_the_published_plant(seed):
     roll, pitch, yaw = rng.uniform(-1.2, 1.2, 3)
     half = 0.5 * np.array([roll, pitch, yaw])
     (c_r, c_p, c_y), (s_r, s_p, s_y) = np.cos(half), np.sin(half)
-    q = rotation.multiply(
-        np.array([c_y, 0, 0, s_y]), rotation.multiply(np.array([c_p, 0, s_p, 0]), np.array([c_r, s_r, 0, 0]))
-    )
+    q = rotation.multiply(np.array([c_y, 0, 0, s_y]), rotation.multiply(np.array([c_p, 0, s_p, 0]), np.array([c_r, s_r, 0, 0])))
     v, omega, at = rng.normal(0, 3, 3), rng.normal(0, 0.5, 3), rng.uniform(0.1, 0.9, 4)
     R = rotation.axes(q)
     slope, _ = dynamics.derivative(system, Body(np.zeros(3), rotation.to_world(R, v), q, omega), at, STILL)
-    wanted = system.derivative(
-        jnp.concatenate([v, omega]), jnp.concatenate([at, jnp.array([roll, pitch])]), np.zeros(8)
-    )
+    wanted = system.derivative(jnp.concatenate([v, omega]), jnp.concatenate([at, jnp.array([roll, pitch])]), np.zeros(8))
     v_dot = rotation.to_body(R, slope.v) - np.cross(omega, v)
     assert np.allclose(np.concatenate([v_dot, slope.omega]), wanted, rtol=0, atol=1e-11)
 
@@ -93,9 +89,7 @@ def energy(system, body):
 
 def spin(system, body):
     """Angular momentum in world axes (T, 3)."""
-    return np.array(
-        [rotation.to_world(rotation.axes(q), system.I * w) for q, w in zip(body.q, body.omega, strict=True)]
-    )
+    return np.array([rotation.to_world(rotation.axes(q), system.I * w) for q, w in zip(body.q, body.omega, strict=True)])
 
 
 def vacuum_law():
@@ -119,13 +113,9 @@ def drift_law():
     """Wind and motion are relative: carried by a steady wind, a helicopter flies as in still air, and is blown along."""
     system, wind = dynamics.plant(DATA), np.array([4.0, -3.0, 0.5])
     still, _ = flown(system, body_of(v=(1, 0.5, -1), omega=(0.1, 0, -0.2)), U)
-    blown, _ = flown(
-        system, body_of(v=wind + np.array([1, 0.5, -1]), omega=(0.1, 0, -0.2)), U, air=STILL._replace(wind=wind)
-    )
+    blown, _ = flown(system, body_of(v=wind + np.array([1, 0.5, -1]), omega=(0.1, 0, -0.2)), U, air=STILL._replace(wind=wind))
     along = wind * np.arange(1, 401)[:, None] / 400
-    return np.allclose(blown.p - along, still.p, rtol=0, atol=1e-9) and np.allclose(
-        blown.q, still.q, rtol=0, atol=1e-10
-    )
+    return np.allclose(blown.p - along, still.p, rtol=0, atol=1e-9) and np.allclose(blown.q, still.q, rtol=0, atol=1e-10)
 
 
 def climb_law():
@@ -164,13 +154,9 @@ def _planted(name, monkeypatch):
     if name == "vacuum_law":
         monkeypatch.setattr(dynamics.rotation, "cross", lambda a, b: 0.99 * jnp.cross(a, b))
     if name == "damping_law":
-        monkeypatch.setattr(
-            dynamics, "derivative", lambda s, b, at, air: derivative(s, b._replace(omega=1.01 * b.omega), at, air)
-        )
+        monkeypatch.setattr(dynamics, "derivative", lambda s, b, at, air: derivative(s, b._replace(omega=1.01 * b.omega), at, air))
     if name == "drift_law":
-        monkeypatch.setattr(
-            dynamics, "derivative", lambda s, b, at, air: derivative(s, b, at, air._replace(wind=0.98 * air.wind))
-        )
+        monkeypatch.setattr(dynamics, "derivative", lambda s, b, at, air: derivative(s, b, at, air._replace(wind=0.98 * air.wind)))
     if name == "climb_law":
         monkeypatch.setattr(dynamics, "derivative", lambda s, b, at, air: derivative(s, b, 0.999 * at, air))
     if name == "lag_law":
@@ -212,9 +198,7 @@ def test_ways_are_followed(kind):
     level = 1 - 2 * (made.record.q[:, 1] ** 2 + made.record.q[:, 2] ** 2)
     assert level.min() > np.cos(np.radians(30))
     if kind == "yaw":
-        heading = np.unwrap(
-            np.arctan2(2 * (made.record.q[:, 0] * made.record.q[:, 3]), 1 - 2 * made.record.q[:, 3] ** 2)
-        )
+        heading = np.unwrap(np.arctan2(2 * (made.record.q[:, 0] * made.record.q[:, 3]), 1 - 2 * made.record.q[:, 3] ** 2))
         assert np.abs(heading - wanted[:, 3])[1000:].max() < 0.35 and np.ptp(wanted[:, 3]) > 0.8
 
 
@@ -267,10 +251,7 @@ def test_a_jammed_actuator_stays_where_it_was():
 
 
 @pytest.mark.thorough(keep=2)
-@pytest.mark.parametrize(
-    ("fault", "axis"),
-    [("collective", 2), ("tail", 5), ("longitudinal", 4), ("lateral", 3)],
-)
+@pytest.mark.parametrize(("fault", "axis"), [("collective", 2), ("tail", 5), ("longitudinal", 4), ("lateral", 3)])
 def test_a_fault_shows_in_its_own_motion(fault, axis):
     """In the 0.3 s after a displacement the motion differs first along the actuator's own axis (v down; p, q, r)."""
     hurt = [{"kind": "bias", "actuator": fault, "onset_s": 10.0, "strength": 0.1}]
@@ -283,10 +264,7 @@ def test_a_fault_shows_in_its_own_motion(fault, axis):
 
 
 def test_two_faults_and_the_ground():
-    hurt = [
-        {"kind": k, "actuator": a, "onset_s": 10.0}
-        for k, a in (("saturated", "longitudinal"), ("complete loss", "collective"))
-    ]
+    hurt = [{"kind": k, "actuator": a, "onset_s": 10.0} for k, a in (("saturated", "longitudinal"), ("complete loss", "collective"))]
     made = simulate(asked(faults=hurt))
     down = np.flatnonzero(made.record.flies < 0.5)
     assert down.size and np.isfinite(made.record.p).all()
@@ -312,11 +290,7 @@ def test_the_table_comes_back(tmp_path, ending):
     assert about["faults"][0]["actuator"] == "tail" and about["last_theta"]["loss_tail"] == 1.0
     assert about["last_theta"]["bias_tail"] == pytest.approx(0.22)
     truth = np.genfromtxt(paths[2], delimiter=",", names=True)
-    assert (
-        truth["loss_tail"][-1] == 1.0
-        and truth["loss_tail"][0] == 0.0
-        and truth["actuator_tail"][-1] == pytest.approx(0.22)
-    )
+    assert truth["loss_tail"][-1] == 1.0 and truth["loss_tail"][0] == 0.0 and truth["actuator_tail"][-1] == pytest.approx(0.22)
 
 
 def test_the_log_holds_no_truth():
@@ -426,9 +400,7 @@ def test_the_table_of_the_plant():
     assert np.allclose(table.y[400, :3], rotation.to_body(rotation.axes(q), r.v[k]), atol=0.15)
     assert np.allclose(table.u[400, :4], r.command[k - 2], atol=0.05) and table.valid.all()
     with pytest.raises(LogError, match="lacks velocity"):
-        helicopter_log.rows(
-            memory.from_arrays({"time_s": [0, 1, 2], **{f"motor_{k}": [0.5] * 3 for k in (1, 2, 3, 4)}})
-        )
+        helicopter_log.rows(memory.from_arrays({"time_s": [0, 1, 2], **{f"motor_{k}": [0.5] * 3 for k in (1, 2, 3, 4)}}))
     with pytest.raises(ConfigError, match="no helicopter called 'f450'; known are ruav-40kg"):
         helicopter_log.estimate(made.flight, "f450", "ekf")
 

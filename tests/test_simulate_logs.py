@@ -84,10 +84,7 @@ def test_records_follow_each_other_in_time_whatever_they_are_of():
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_campaign_answers_from_memory_what_diagnose_answers_to_the_file(logs, autopilot):
-    path, (one, numbers, record) = (
-        logs[autopilot][0],
-        (made(autopilot).scenario, made(autopilot).plan, made(autopilot).record),
-    )
+    path, (one, numbers, record) = (logs[autopilot][0], (made(autopilot).scenario, made(autopilot).plan, made(autopilot).record))
     data = logbook.log(one, numbers, record)
     assert data == path.read_bytes()
     row, answer = open_world._row(one, record, data, path.name), rw.diagnose(path)
@@ -110,12 +107,7 @@ def test_pymavlink_opens_the_dataflash_log(logs):
         if m.get_type() == "RATE":
             pitch.append(np.radians(m.P))
     flight = made("ardupilot").flight
-    assert (
-        seen["RCOU"] == 450
-        and seen["IMU"] == 1125
-        and seen["PARM"] == len(flight.parameters)
-        and seen["ESC"] == 6 * 450
-    )
+    assert seen["RCOU"] == 450 and seen["IMU"] == 1125 and seen["PARM"] == len(flight.parameters) and seen["ESC"] == 6 * 450
     assert np.array_equal(np.array(outputs)[:, :2], flight["motors"].values[:, [0, 5]])
     assert np.allclose(pitch, flight["rates"].values[:, 1], atol=1e-6)
     assert log.params["FRAME_CLASS"] == 2 and log.params["SERVO6_FUNCTION"] == 38
@@ -142,9 +134,7 @@ def test_the_log_does_not_hold_the_truth(logs, autopilot):
     text = log.read_bytes().decode("latin-1").lower()
     assert not re.findall(r"truth|theta|loss|(?<!de)fault|sim_", text)
     told = json.loads(about.read_text())
-    assert (
-        told["faults"][0]["rotor"] == 3 and told["largest_loss"] == [0, 0, 0.4, 0, 0, 0] and told["crashed_s"] is None
-    )
+    assert told["faults"][0]["rotor"] == 3 and told["largest_loss"] == [0, 0, 0.4, 0, 0, 0] and told["crashed_s"] is None
     columns = np.genfromtxt(series, delimiter=",", names=True)
     began = columns["time_s"][np.argmax(columns["loss_3"] > 0.1)]
     assert began == pytest.approx(25.0, abs=0.03) and columns["loss_3"][-1] == 0.4 and columns["loss_2"].max() == 0
@@ -165,9 +155,7 @@ def test_frames_and_outputs_are_recognised(logs):
         assert found.name == name
         ours = vehicle(made(autopilot).scenario)
         assert found.mixer == pytest.approx(ours.mixer, abs=1e-7)
-        assert found.curve.expo == pytest.approx(ours.curve.expo) and found.curve.u_max == pytest.approx(
-            ours.curve.u_max
-        )
+        assert found.curve.expo == pytest.approx(ours.curve.expo) and found.curve.u_max == pytest.approx(ours.curve.u_max)
 
 
 def test_writers_refuse_the_other_autopilot(tmp_path):
@@ -220,9 +208,7 @@ WRONG = {
     r"faults\[1\].strength: a stuck has none; leave it out": {"faults": [{**FAULT, "kind": "stuck"}]},
     r"faults\[1\].level: a loss has none; leave it out": {"faults": [{**FAULT, "level": 0.3}]},
     r"faults\[1\].vibration: a loss has none; leave it out": {"faults": [{**FAULT, "vibration": 3.0}]},
-    r"faults\[1\].ramp_s: a float has none; leave it out": {
-        "faults": [{"kind": "float", "rotor": 3, "onset_s": 25.0, "ramp_s": 1.0}]
-    },
+    r"faults\[1\].ramp_s: a float has none; leave it out": {"faults": [{"kind": "float", "rotor": 3, "onset_s": 25.0, "ramp_s": 1.0}]},
     r"faults\[1\].duty: only a fault with a period_s has one": {"faults": [{**FAULT, "duty": 0.3}]},
     r"rate_hz must be a multiple of 100, the rate of the record, not 333": {"rate_hz": 333.0},
     r"seed must lie between 0 and 2147483647, not 1e\+99": {"seed": 10**99},
@@ -247,14 +233,7 @@ def wrong_values(field):
         return [3, True, None, {}]
     if field.numbers:
         good = [field.low] * field.numbers
-        return [
-            good[1:],
-            [*good, field.low],
-            field.low,
-            "x",
-            [*good[1:], float("nan")],
-            [*good[1:], field.high * 2 + 1],
-        ]
+        return [good[1:], [*good, field.low], field.low, "x", [*good[1:], float("nan")], [*good[1:], field.high * 2 + 1]]
     return [True, "x", None, [], {}, float("nan"), float("inf"), field.low - 1, field.high * 2 + 1]
 
 
@@ -268,9 +247,7 @@ def test_every_field_refuses_by_name(part, name):
         with pytest.raises(ConfigError) as why:
             scenario.from_table({**table(), **changed})
         text = str(why.value)
-        assert text.startswith(f"{part}.{name} " if part else f"{name} ") and "\n" not in text and text.endswith("."), (
-            text
-        )
+        assert text.startswith(f"{part}.{name} " if part else f"{name} ") and "\n" not in text and text.endswith("."), text
 
 
 @pytest.mark.parametrize("name", scenario.FAULT_FIELDS)
@@ -283,18 +260,12 @@ def test_every_field_of_a_fault_refuses_by_name(name):
 
 JUNK = st.recursive(
     st.none() | st.booleans() | st.integers(-9, 99) | st.floats() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(st.sampled_from(["kind", "frame", "rotor", "x"]), inner, max_size=3)
-    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["kind", "frame", "rotor", "x"]), inner, max_size=3),
     max_leaves=6,
 )
 
 
-@given(
-    part=st.sampled_from([*scenario.FIELDS[""], "airframe", "wind", "faults", "sensors", "trajectory", "battery"]),
-    junk=JUNK,
-)
+@given(part=st.sampled_from([*scenario.FIELDS[""], "airframe", "wind", "faults", "sensors", "trajectory", "battery"]), junk=JUNK)
 @example(part="duration_s", junk=5)  # the fault of the table begins later
 @settings(max_examples=trials(150), deadline=None)
 def test_junk_is_a_config_error_or_a_scenario(part, junk):
@@ -305,11 +276,7 @@ def test_junk_is_a_config_error_or_a_scenario(part, junk):
 
 
 def test_frame_numbers():
-    assert (
-        frame_numbers("hexa-x") == (2, 1)
-        and frame_numbers("octa-coaxial") == (4, 1)
-        and frame_numbers("y6-b") == (5, 10)
-    )
+    assert frame_numbers("hexa-x") == (2, 1) and frame_numbers("octa-coaxial") == (4, 1) and frame_numbers("y6-b") == (5, 10)
     with pytest.raises(ConfigError, match="ArduPilot has no frame niermeyer-hexa"):
         frame_numbers("niermeyer-hexa")
 
@@ -331,15 +298,7 @@ def test_command_writes_a_log_and_the_truth(tmp_path):
     text = "\n".join(
         [
             *("duration_s = 45.0", "seed = 5", "[airframe]", 'frame = "hexa-x"', "[trajectory]", "altitude_m = 6.0"),
-            *(
-                "[logging]",
-                "esc = true",
-                "[[faults]]",
-                'kind = "loss"',
-                "rotor = 3",
-                "onset_s = 25.0",
-                "strength = 0.4",
-            ),
+            *("[logging]", "esc = true", "[[faults]]", 'kind = "loss"', "rotor = 3", "onset_s = 25.0", "strength = 0.4"),
         ]
     )  # the same flight as above, by its file
     (tmp_path / "s.toml").write_text(text)
@@ -392,11 +351,7 @@ def test_the_page_lists_every_field():
     page = (SCENARIOS[0].parents[1] / "simulation.md").read_text()
     for part, fields in {**scenario.FIELDS, "faults": scenario.FAULT_FIELDS}.items():
         for name, field in fields.items():
-            row = next(
-                line
-                for line in page.splitlines()
-                if line.startswith(f"| `{name}` |") and line.endswith(f"| {field.about} |")
-            )
+            row = next(line for line in page.splitlines() if line.startswith(f"| `{name}` |") and line.endswith(f"| {field.about} |"))
             value = row.split("|")[2].strip()
             if isinstance(field.default, (int, float)) and not isinstance(field.default, bool):
                 assert float(value) == field.default, (part, name)

@@ -55,11 +55,7 @@ def test_what_a_fault_shows(kind, strength):
         assert lost == pytest.approx(0.3) and share == pytest.approx(1 / 0.7, rel=0.01)
         assert 1.1 < load < 1.0 / 0.7  # the same torque, faster
     elif kind == "weak motor":
-        assert (
-            lost == pytest.approx(0.3)
-            and share == pytest.approx(1.0, rel=0.01)
-            and load == pytest.approx(1.0, abs=0.01)
-        )
+        assert lost == pytest.approx(0.3) and share == pytest.approx(1.0, rel=0.01) and load == pytest.approx(1.0, abs=0.01)
     else:
         assert 0.03 < lost < 0.1 and share == pytest.approx(1.0, rel=0.01) and 1.3 < load < 1.6
     assert np.delete(after["theta"], 1).max() == 0.0

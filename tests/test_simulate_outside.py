@@ -48,10 +48,7 @@ def test_a_mount_that_turns_yaws_in_proportion_to_its_thrust_and_hardly_loses_an
 
 def test_a_tilt_that_is_positive_yaws_to_the_right():
     made = plan(asked(faults=[{"kind": "tilt", "rotor": 2, "onset_s": 5.0, "angle_deg": 4.0, "ramp_s": 2.0}]))
-    lean = [
-        np.asarray(faults.summed(made.faults, made.faults.lean * faults.strength(made.faults, t)))
-        for t in (4.0, 6.0, 9.0)
-    ]
+    lean = [np.asarray(faults.summed(made.faults, made.faults.lean * faults.strength(made.faults, t))) for t in (4.0, 6.0, 9.0)]
     assert lean[0].max() == 0.0 and lean[1][1] == pytest.approx(0.5 * lean[2][1])
     assert lean[2] == pytest.approx([0.0, np.sin(np.radians(4.0)), 0.0, 0.0])
     still, turned = wrench(made.craft), wrench(made.craft._replace(lean=lean[2]))
@@ -134,10 +131,7 @@ def test_against_a_push_the_vehicle_leans_and_holds_and_its_payload_falls_off_on
 
 
 def test_rotors_that_are_capped_slow_or_strong():
-    rows = [
-        {"kind": "capped", "rotor": 1, "level": 0.4, "onset_s": 20.0},
-        {"kind": "slow", "rotor": 2, "times": 3.0, "onset_s": 20.0},
-    ]
+    rows = [{"kind": "capped", "rotor": 1, "level": 0.4, "onset_s": 20.0}, {"kind": "slow", "rotor": 2, "times": 3.0, "onset_s": 20.0}]
     made = simulate(asked(faults=rows, wind={"speed_m_s": 7.0}))
     time, w, sag = made.record.time, made.record.w, made.record.volts / float(made.plan.battery.full)
     late = time > 21.0
@@ -150,9 +144,7 @@ def test_rotors_that_are_capped_slow_or_strong():
         g, v = gap[span, rotor], slope[span, rotor]
         assert (g @ g) / (g @ v) == pytest.approx(lag, rel=0.25)
     strong = simulate(asked(faults=[{"kind": "strong", "rotor": 3, "strength": 0.1, "onset_s": 0.0}]))
-    assert mean(strong, "demand", 25.0, 34.0)[2] == pytest.approx(
-        mean(strong, "demand", 25.0, 34.0)[:2].mean() / 1.1, rel=0.01
-    )
+    assert mean(strong, "demand", 25.0, 34.0)[2] == pytest.approx(mean(strong, "demand", 25.0, 34.0)[:2].mean() / 1.1, rel=0.01)
     assert strong.record.theta[-1] == pytest.approx([0.0, 0.0, -0.1, 0.0])
 
 

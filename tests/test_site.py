@@ -42,10 +42,7 @@ def test_the_reference_has_every_public_name(make_api):
 @pytest.mark.parametrize(
     ("docstring", "found"),
     [
-        (
-            "First.\n\na: one, two. b (n,): three; c: four. Raises X.",
-            {"a": "one, two.", "b": "(n,) three", "c": "four."},
-        ),
+        ("First.\n\na: one, two. b (n,): three; c: four. Raises X.", {"a": "one, two.", "b": "(n,) three", "c": "four."}),
         ("First.\n\na and b: both. other: is none.", {"a": "both. other: is none.", "b": "both. other: is none."}),
         ("First: b: no start of a sentence.", {}),
     ],
@@ -59,21 +56,7 @@ def built(tmp_path_factory):
     """The site as it is published: (its folder, what Sphinx had to say, its exit code)."""
     pytest.importorskip("myst_parser")
     site = tmp_path_factory.mktemp("site")
-    words = [
-        "-m",
-        "sphinx",
-        "-q",
-        "-W",
-        "--keep-going",
-        "-b",
-        "html",
-        "-d",
-        site / ".doctrees",
-        "-c",
-        "docs",
-        ".",
-        site,
-    ]
+    words = ["-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-d", site / ".doctrees", "-c", "docs", ".", site]
     done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, timeout=300)
     return site, done.stderr, done.returncode
 

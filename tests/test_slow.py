@@ -20,15 +20,11 @@ from rotorwatch.engine.trim.trim import Trim
 from rotorwatch.flight import Flight
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
-HEXA = np.array(
-    [[-1.0, 1.0, 0.5, -0.5, -0.5, 0.5], [0, 0, 0.9, -0.9, 0.9, -0.9], [-1.0, 1.0, -1.0, 1.0, 1.0, -1.0], [1.0] * 6]
-)
+HEXA = np.array([[-1.0, 1.0, 0.5, -0.5, -0.5, 0.5], [0, 0, 0.9, -0.9, 0.9, -0.9], [-1.0, 1.0, -1.0, 1.0, 1.0, -1.0], [1.0] * 6])
 DT, SECONDS = 0.1, 90.0
 
 
-def flight(
-    B=QUAD, rotor=1, loss=0.0, rise=25.0, begins=30.0, seen=0.0, drift=(0, 0, 0), sag=0.0, turns=0.0, seed=0
-) -> Any:
+def flight(B=QUAD, rotor=1, loss=0.0, rise=25.0, begins=30.0, seen=0.0, drift=(0, 0, 0), sag=0.0, turns=0.0, seed=0) -> Any:
     """(outputs, ticks) of a flight in moving air. loss: of a rotor, that grows for `rise` seconds from `begins` on; seen: share of it that
     the estimator has announced half way; drift (3,): torques that come as slowly; sag: by which all commands rise; turns: yaw commands that
     come and go, and a yaw gain that is off by half."""
@@ -133,12 +129,7 @@ def test_a_loss_is_over_where_its_trim_is():
         for a, b in ((30.0, 36.0), (38.0, 41.0), (50.0, 62.0))
     ]
     (joined,) = slow.join(spells, lasts)
-    assert (
-        joined.onset_s == 30.0
-        and joined.detected_s == 30.3
-        and joined.end_s is None
-        and "its apparent end" in joined.reason
-    )
+    assert joined.onset_s == 30.0 and joined.detected_s == 30.3 and joined.end_s is None and "its apparent end" in joined.reason
     assert joined.interval[0][0] < 0.3 < joined.interval[0][1] and "grew_until_s" not in joined.extra
     late = [*spells[:2], replace(spells[2], end_s=84.0)]
     assert slow.join(late, lasts) == tuple(late)  # too little is left of the flight to tell
@@ -175,13 +166,7 @@ def test_a_link_says_it_while_the_vehicle_flies():
     seen = []
     for a in range(0, ticks.time.size, 50):
         part = slice(a, a + 50)
-        rows = (
-            ticks.time[part],
-            np.full(50, JUDGE, np.int32),
-            np.ones(50, bool),
-            out.biases[part, :3],
-            ticks.thrust[part],
-        )
+        rows = (ticks.time[part], np.full(50, JUDGE, np.int32), np.ones(50, bool), out.biases[part, :3], ticks.thrust[part])
         ENGINE.call(many.pass_on, state, craft, DT, 50, *map(np.ascontiguousarray, rows))
         case._look_at_trim(diagnoser)
         seen.append(case.grown is not None and case.grown.certain)

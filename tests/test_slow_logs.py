@@ -41,9 +41,7 @@ def thinned(flight, hz):
         keep = np.unique(np.searchsorted(signal.time, np.arange(signal.time[0], signal.time[-1], 1.0 / rate)))
         return replace(signal, time=signal.time[keep], values=signal.values[keep], valid=signal.valid[keep])
 
-    signals = {
-        k: thin(s, hz if k == "motors" else max(2.0 * hz, 4.0)) for k, s in flight.signals.items() if k != "control"
-    }
+    signals = {k: thin(s, hz if k == "motors" else max(2.0 * hz, 4.0)) for k, s in flight.signals.items() if k != "control"}
     return replace(flight, signals=signals)
 
 

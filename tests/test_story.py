@@ -51,22 +51,8 @@ def printed(answer: Diagnosis) -> str:
 
 
 def lost(cause: str, **more) -> Event:
-    extra = {
-        "cause": cause,
-        "worked_until_s": [30.0] * 4,
-        "impact_s": 33.0,
-        "how": "falling without thrust",
-        "evidence": [],
-    }
-    given = {
-        "rotors": (),
-        "onset_s": 30.0,
-        "detected_s": 31.0,
-        "end_s": 33.0,
-        "loss": (),
-        "interval": (),
-        "reason": "why",
-    }
+    extra = {"cause": cause, "worked_until_s": [30.0] * 4, "impact_s": 33.0, "how": "falling without thrust", "evidence": []}
+    given = {"rotors": (), "onset_s": 30.0, "detected_s": 31.0, "end_s": 33.0, "loss": (), "interval": (), "reason": "why"}
     return hexa_event(kind="loss_of_control", **{**given, **more, "extra": extra | more.get("extra", {})})
 
 
@@ -132,9 +118,7 @@ def test_what_is_said_beside_a_crash_moves_no_mark_of_its_picture():
             for e in answer.events[:1] for t in (1.0, 59.0)]  # fmt: skip
     flight, craft = Flight("log", "", {}, 60.0), airframes.named("ardupilot-quad-x")
     hops = tuple(tuple(hop) for hop in answer.flight["hops"])
-    given = [
-        picture.compose(flight, craft, events, answer.main, hops) for events in (answer.events, (*answer.events, *told))
-    ]
+    given = [picture.compose(flight, craft, events, answer.main, hops) for events in (answer.events, (*answer.events, *told))]
     assert given[0]["marks"] == given[1]["marks"] == answer.picture["marks"]
 
 
@@ -144,10 +128,7 @@ def test_what_is_said_beside_a_crash_moves_no_mark_of_its_picture():
         ("disarmed", "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in flight."),
         ("knock", "All 4 rotors followed their commands until 30.00 s, when something struck the vehicle."),
         ("power", "All 4 rotors followed their commands until 30.00 s, when the power failed."),
-        (
-            "unknown",
-            "No rotor fault was found: as far as the log shows, all 4 rotors followed their commands until 30.00 s.",
-        ),
+        ("unknown", "No rotor fault was found: as far as the log shows, all 4 rotors followed their commands until 30.00 s."),
     ],
 )
 def test_to_exonerate_is_told_as_well(cause, said):
@@ -170,9 +151,7 @@ def test_a_loss_that_is_not_why_control_was_lost_leaves_the_cause_in_the_story()
     weak = hexa_event(rotors=(2,), onset_s=20.0, detected_s=21.0)
     said = told(weak, lost("disarmed"), main=0)
     assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
-    assert said[2].endswith(
-        "All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in flight."
-    )
+    assert said[2].endswith("All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in flight.")
 
 
 def test_candidates_are_all_named():
@@ -271,10 +250,7 @@ def visited(chromium, folder, width: int):
     command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"]
     command += [f"--user-data-dir={folder / 'profile'}", f"--window-size={width},900", "--enable-logging=stderr"]
     done = subprocess.run(
-        [*command, "--virtual-time-budget=20000", "--dump-dom", page.as_uri()],
-        capture_output=True,
-        text=True,
-        timeout=120,
+        [*command, "--virtual-time-budget=20000", "--dump-dom", page.as_uri()], capture_output=True, text=True, timeout=120
     )
     seen = re.search(r'<html[^>]* data-probe="([^"]*)"', done.stdout)
     assert seen, done.stderr[-2000:]
@@ -286,9 +262,7 @@ def test_the_story_and_its_picture_are_the_first_that_a_browser_shows(chromium, 
     seen = visited(chromium, tmp_path, 500)
     flat = [" ".join(text.replace("\u2060", "").replace("&nbsp;", " ").split()) for text, _ in seen["story"]]
     assert flat == [s.text for s in crash().story]
-    shown = [
-        name for name in upset.NAMES if not name.endswith(("_rate", "_speeds"))
-    ]  # flown by attitude, without ESC telemetry
+    shown = [name for name in upset.NAMES if not name.endswith(("_rate", "_speeds"))]  # flown by attitude, without ESC telemetry
     assert [name for name, *_ in seen["plots"]] == [f"plot-{name}" for name in shown]
     tops = [top for _, top in seen["story"]] + [top for _, top, _ in seen["plots"]] + [seen["table"]]
     assert tops == sorted(tops)

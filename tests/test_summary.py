@@ -90,13 +90,7 @@ def test_winds_are_told_by_their_edges():
         }
     )
     assert labels["wind"].tolist() == ["0 to 3 m/s", "0 to 3 m/s", "3 to 6 m/s", "over 6 m/s", "unknown"]
-    assert labels["induced velocity"].tolist() == [
-        "0 to 2 m/s",
-        "2 to 3.5 m/s",
-        "3.5 to 5 m/s",
-        "over 5 m/s",
-        "unknown",
-    ]
+    assert labels["induced velocity"].tolist() == ["0 to 2 m/s", "2 to 3.5 m/s", "3.5 to 5 m/s", "over 5 m/s", "unknown"]
     assert labels["fault"].tolist() == ["none", "none", "loss", "none", "none"] and labels["profile"][0] == "x x"
 
 
@@ -115,9 +109,7 @@ def faulty(count, **more):
            "sure_false_alarms": 0.0, "wrong": 0.0, "healthy_s": 36.0, "method": "default", "frame": "quad-x", "autopilot": "px4",
            "profile": "fast", "trajectory": "hover", "wind_m_s": 1.0, "induced_m_s": 6.0, "broken": "3", "answer": "fault", "accused": "3",
            **{f"peak_{s:g}s": 3.0 for s in score.WINDOWS_S}, **more}  # fmt: skip
-    return {
-        k: np.array([v] * count, object if isinstance(v, str | bool) or v is None else float) for k, v in row.items()
-    }
+    return {k: np.array([v] * count, object if isinstance(v, str | bool) or v is None else float) for k, v in row.items()}
 
 
 def both(*groups):
@@ -130,9 +122,7 @@ def test_an_error_is_an_estimate_of_an_announced_rotor_less_the_truth():
     error, sd = summary._errors(d)
     assert error == pytest.approx([0.05] * 3) and sd == pytest.approx([0.01] * 3)
     measured = summary.measures(d)
-    assert measured["loss_rmse"]["value"] == pytest.approx(0.05) and measured["bound_rmse"]["value"] == pytest.approx(
-        0.01
-    )
+    assert measured["loss_rmse"]["value"] == pytest.approx(0.05) and measured["bound_rmse"]["value"] == pytest.approx(0.01)
     assert measured["rmse_ratio"]["value"] == pytest.approx(5.0)
     assert measured["typical_ratio"]["value"] == pytest.approx(5.0 / stats.norm.ppf(0.75))
     assert measured["coverage"]["value"] == 1.0 and measured["coverage"]["n"] == 3

@@ -105,9 +105,7 @@ def test_files_and_options_say_how_heavy_and_strong(tmp_path, quad):
     found = rw.survive(bare, loss=(0.2,), **USUAL)
     assert found.healthy.roll == pytest.approx(quad.healthy.roll, rel=1e-9)
     full = tmp_path / "full.toml"
-    vehicle_file.write(
-        known.__class__(known.name, known.rotors, known.curve, known.mixer, extra={**USUAL, "mass_kg": 4.0}), full
-    )
+    vehicle_file.write(known.__class__(known.name, known.rotors, known.curve, known.mixer, extra={**USUAL, "mass_kg": 4.0}), full)
     assert rw.survive(full, loss=(0.2,)).healthy.roll == pytest.approx(2 * quad.healthy.roll, rel=1e-9)
     assert rw.survive(full, loss=(0.2,), mass_kg=2.0).healthy.roll == pytest.approx(quad.healthy.roll, rel=1e-9)
 

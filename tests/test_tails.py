@@ -28,9 +28,7 @@ def test_student_quantile(share, dof):
 @pytest.mark.parametrize("above, below", [(1, 1.0), (4, 3.5), (8, 40.0), (3, 2000.0)])
 def test_f(above, below):
     x = np.concatenate([[0.0], np.geomspace(1e-6, 1e4, 30)])
-    np.testing.assert_allclose(
-        [tails.f_tail(v, above, below) for v in x], stats.f.sf(x, above, below), rtol=1e-9, atol=1e-290
-    )
+    np.testing.assert_allclose([tails.f_tail(v, above, below) for v in x], stats.f.sf(x, above, below), rtol=1e-9, atol=1e-290)
 
 
 def test_normal():
@@ -44,9 +42,7 @@ def test_normal():
 @pytest.mark.parametrize("low", [-40.0, -3.0, 0.0, 2.0, 25.0])
 @pytest.mark.parametrize("share", [0.025, 0.5, 0.975])
 def test_quantiles_above_a_limit(low, share):
-    assert tails.normal_quantile(share, low) == pytest.approx(
-        float(stats.truncnorm.ppf(share, low, np.inf)), rel=1e-9, abs=1e-9
-    )
+    assert tails.normal_quantile(share, low) == pytest.approx(float(stats.truncnorm.ppf(share, low, np.inf)), rel=1e-9, abs=1e-9)
 
 
 @pytest.mark.parametrize("columns", [1, 2, 3, 4, 6])

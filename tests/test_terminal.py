@@ -23,15 +23,7 @@ def info_of(**more):
 
 def test_what_info_says_of_a_log():
     text = rendered(terminal.info(info_of()))
-    for words in (
-        "hexarotor",
-        "ArduPilot ArduCopter V4",
-        "4.0 to 58.0 s",
-        "60.0 s",
-        "99 %",
-        "100 Hz",
-        "what a diagnosis needs",
-    ):
+    for words in ("hexarotor", "ArduPilot ArduCopter V4", "4.0 to 58.0 s", "60.0 s", "99 %", "100 Hz", "what a diagnosis needs"):
         assert words in text, words
     bad = rendered(terminal.info(info_of(frame="hexa X", autopilot="ArduCopter", ready=False, airborne_s=[], rotors=0)))
     for words in ("hexa X", "cannot be diagnosed", "never found airborne", "no commands found"):
@@ -42,10 +34,7 @@ def test_what_info_says_of_a_log():
 
 def test_a_note_stands_beside_its_word_where_there_is_room():
     notes = terminal.Notes([("warning", "first"), ("assumed", "second one")])
-    assert [line.split() for line in rendered(notes, 60).splitlines()] == [
-        ["warning", "first"],
-        ["assumed", "second", "one"],
-    ]
+    assert [line.split() for line in rendered(notes, 60).splitlines()] == [["warning", "first"], ["assumed", "second", "one"]]
     assert rendered(notes, 59).splitlines() == ["warning: first", "assumed: second one"]
     long = terminal.Notes([("warning", "x" * 60)])
     assert rendered(long, 69).startswith("warning  x") and rendered(long, 68).startswith("warning: ")
@@ -53,9 +42,7 @@ def test_a_note_stands_beside_its_word_where_there_is_room():
 
 def test_a_healthy_flight_has_few_lines_and_the_rest_is_asked_for():
     """Verdict, reason, one table, what to do; in 80 columns the table stays one, and nothing says that nothing is known."""
-    answer = hexa_diagnosis(
-        events=(), warnings=("motors (RCOU): 1 value that does not fit the neighbouring values ignored.",)
-    )
+    answer = hexa_diagnosis(events=(), warnings=("motors (RCOU): 1 value that does not fit the neighbouring values ignored.",))
     short, whole = (rendered(terminal.diagnosis(answer, verbose), 80) for verbose in (False, True))
     lines = [line for line in short.splitlines() if line.strip()]
     assert len(lines) <= 17 and max(map(len, short.splitlines())) <= 80

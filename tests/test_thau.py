@@ -51,9 +51,7 @@ def second(table):
 
 
 def thau(system=FELT, **options):
-    return Thau(
-        system, DT, rate=RATE, bandwidth=BANDWIDTH, direct_rate=DIRECT, leak=LEAK, theta_sd=SD, walk=WALK, **options
-    )
+    return Thau(system, DT, rate=RATE, bandwidth=BANDWIDTH, direct_rate=DIRECT, leak=LEAK, theta_sd=SD, walk=WALK, **options)
 
 
 def test_it_is_what_a_second_implementation_says():

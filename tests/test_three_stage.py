@@ -37,9 +37,7 @@ def second(table, g):
 def test_it_is_the_augmented_filter_of_all_three():
     """Gaps, steps of different length and feedthrough included."""
     table = linear_table()
-    method = ThreeStage(
-        PLANT, DT, theta_walk=WALK, theta_var=VAR, disturbance_share=SHARE, disturbance_s=TIME, u_nominal=[0.7, 1.4]
-    )
+    method = ThreeStage(PLANT, DT, theta_walk=WALK, theta_var=VAR, disturbance_share=SHARE, disturbance_s=TIME, u_nominal=[0.7, 1.4])
     g = np.abs(PLANT.B * [0.7, 1.4]).max(axis=1)
     np.testing.assert_allclose(method.g, g, rtol=1e-12)
     got = run(method, *table)
@@ -62,10 +60,7 @@ def test_it_finds_a_loss(make):
     u, y, valid, _ = flown(make, 0, LOSS)
     out = run(ThreeStage(make(), DT), u, y, valid)
     assert out.estimate.theta[-1].argmax() == 1
-    error, sd = (
-        out.estimate.theta[-1] - LOSS * np.eye(make().n_theta)[1],
-        np.sqrt(np.diagonal(out.estimate.theta_cov[-1])),
-    )
+    error, sd = (out.estimate.theta[-1] - LOSS * np.eye(make().n_theta)[1], np.sqrt(np.diagonal(out.estimate.theta_cov[-1])))
     assert (np.abs(error) < 3 * sd).all() and np.abs(error).max() < 0.15
 
 
@@ -95,11 +90,7 @@ def test_gusts_are_disturbances_and_no_losses():
 
 @pytest.mark.parametrize(
     ("wrong", "says"),
-    [
-        ({"disturbance_share": -0.1}, "disturbance_share"),
-        ({"disturbance_s": 0.0}, "disturbance_s"),
-        ({"theta_walk": [1.0]}, "theta_walk"),
-    ],
+    [({"disturbance_share": -0.1}, "disturbance_share"), ({"disturbance_s": 0.0}, "disturbance_s"), ({"theta_walk": [1.0]}, "theta_walk")],
 )
 def test_wrong_values_are_named(wrong, says):
     with pytest.raises(ConfigError, match=says):

@@ -58,9 +58,7 @@ def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rot
     yaw = turn * np.where((when >= turns) & (when < turns + 120), np.sign(np.sin((when - turns) * np.pi / 30.0)), 0.0)
     yaw = np.convolve(yaw, np.ones(8) / 8.0, "same")
     rates = np.cumsum(yaw) * DT
-    wrench = np.column_stack(
-        [np.zeros((TICKS, 2)), gain[2] * (yaw + plant.DAMPING_RATE * rates), np.full(TICKS, float(N))]
-    )
+    wrench = np.column_stack([np.zeros((TICKS, 2)), gain[2] * (yaw + plant.DAMPING_RATE * rates), np.full(TICKS, float(N))])
     given = wrench @ np.linalg.pinv(B).T  # what each rotor has to give
     lost = np.zeros((TICKS, N))
     lost[fails:, list(rotors)] = loss
@@ -72,9 +70,7 @@ def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rot
     zeros, full = np.zeros((TICKS, 2)), np.full(TICKS, 1.0 / unit)
     mode = np.where(when < ready, LEARN, JUDGE)
     motion = [zeros, yaw, np.full(TICKS, float(N)), zeros, rates, zeros]
-    u = np.column_stack(
-        [thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), np.full(TICKS, np.nan), mode, when == 0]
-    )
+    u = np.column_stack([thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), np.full(TICKS, np.nan), mode, when == 0])
     return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))
 
 
@@ -129,9 +125,7 @@ def test_what_is_open_of_the_curve_is_open_of_a_loss_as_far_as_the_rotor_still_g
     assert none < part * (1.0 - loss) / 0.5 + 1e-3
 
 
-@pytest.mark.parametrize(
-    "share, load, teaches", [(1.0, 1.0, True), (0.0, 1.0, False), (-1.0, 1.0, False), (1.0, 1.7, False)]
-)
+@pytest.mark.parametrize("share, load, teaches", [(1.0, 1.0, True), (0.0, 1.0, False), (-1.0, 1.0, False), (1.0, 1.7, False)])
 def test_the_curve_shows_near_hover_in_what_moves_the_vehicle(share, load, teaches):
     """share: how much of the turn its yaw has been commanded for, less what moves nothing."""
     x, gain, p, memory, seen = np.zeros(THETA + N), N * plant.GAIN_MEAN[2], plant_of(QUAD, DT), Memory(), Seen()

@@ -257,9 +257,7 @@ def test_a_tumbling_vehicle_is_not_judged_any_more():
     flight, thrust = log()
     gyro = flight["gyro"]
     rolling = gyro.values + (gyro.time[:, None] > 8.0) * np.array([10.0, 0, 0])
-    table = make(
-        Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, rolling, gyro.columns, "rad/s")}, END), thrust
-    )
+    table = make(Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, rolling, gyro.columns, "rad/s")}, END), thrust)
     assert table.valid[(table.time > 5.0) & (table.time < 7.9), 0].all()
     assert not table.valid[table.time > 8.5].any()
 
@@ -274,10 +272,7 @@ def test_what_comes_later_changes_no_tick(rate, cut):
     def spoilt(signal):
         late = signal.time > cut
         return Signal(
-            signal.time,
-            np.where(late[:, None], rng.standard_normal(signal.values.shape) * 50, signal.values),
-            signal.columns,
-            signal.unit,
+            signal.time, np.where(late[:, None], rng.standard_normal(signal.values.shape) * 50, signal.values), signal.columns, signal.unit
         )
 
     other = Flight("test", "test", {k: spoilt(s) for k, s in flight.signals.items()}, END)
@@ -403,9 +398,7 @@ def test_a_vehicle_tumbles_from_six_radians_a_second_of_roll_or_pitch_on(axis, r
     flight, thrust = log()
     gyro = flight["gyro"]
     turned = np.where((gyro.time > 6.0)[:, None], rate * np.eye(3)[axis], 0.0)
-    table = make(
-        Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust
-    )
+    table = make(Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust)
     assert table.upset[table.time > 6.5].all() == upset == table.upset.any()
 
 
@@ -414,9 +407,7 @@ def test_who_has_tumbled_for_long_does_not_hover_again_in_this_hop(lasts, gone):
     flight, thrust = log()
     gyro = flight["gyro"]
     turned = np.where(((gyro.time > 7.0) & (gyro.time < 7.0 + lasts))[:, None], [9.0, 0.0, 0.0], 0.0)
-    table = make(
-        Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust
-    )
+    table = make(Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust)
     later = (table.time > 8.2) & (table.mode > ticks.GROUND)
     assert table.upset[later].all() == gone == table.upset[later].any() and not table.upset[table.time < 6.9].any()
     assert table.valid[later].any() != gone

@@ -47,9 +47,7 @@ def test_with_a_slope_all_moves_by_it(errors):
     time = STEP * np.arange(N)
     for _ in range(5):
         y = errors(rng, N)
-        np.testing.assert_allclose(
-            trend.slope(time, y + 0.3 * time, STEP), np.add(trend.slope(time, y, STEP), 0.3), atol=1e-7
-        )
+        np.testing.assert_allclose(trend.slope(time, y + 0.3 * time, STEP), np.add(trend.slope(time, y, STEP), 0.3), atol=1e-7)
 
 
 def test_least_squares_would_be_sure_of_slopes_that_are_none():

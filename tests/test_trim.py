@@ -77,11 +77,7 @@ def in_arrays(B, state):
             fits.append((axis, fit, y @ y, (x @ y).reshape(C, n + 1), (x**2).sum(axis=1).reshape(C, n + 1)))
 
     def log_fit(axis, which, amount):
-        rests = [
-            (f, yy - 2.0 * amount * xy[:, which, None] + amount**2 * xx[:, which, None])
-            for a, f, yy, xy, xx in fits
-            if a == axis
-        ]
+        rests = [(f, yy - 2.0 * amount * xy[:, which, None] + amount**2 * xx[:, which, None]) for a, f, yy, xy, xx in fits if a == axis]
         return np.logaddexp.reduce([f - 0.5 * (N - 1) * np.log(rest) for f, rest in rests])
 
     losses, small, large = np.zeros((C, n, SIZES.size)), np.zeros((3, C)), np.zeros((3, C, AMOUNTS.size))
@@ -113,15 +109,11 @@ def test_each_explanation_has_the_odds_that_matrices_give_it(B, how):
     state = looked_at(B, **how)
     losses, turned, other = in_arrays(B, state)
     growth, mount, work = state.part("growth"), state.part("mount"), state.part("weighing")
-    np.testing.assert_allclose(
-        work["lost"][0, : len(losses), : B.shape[1]], total(losses, 2) + np.log(losses.size / RARE), atol=1e-5
-    )
+    np.testing.assert_allclose(work["lost"][0, : len(losses), : B.shape[1]], total(losses, 2) + np.log(losses.size / RARE), atol=1e-5)
     rotor = total(losses.transpose(1, 0, 2).reshape(B.shape[1], -1), 1)
     rest = [total(np.delete(rotor, rotor.argmax())), total(turned), other]
     assert np.log(growth["odds"][0]) == pytest.approx(min(rotor.max() - total(np.array(rest)), 27.0), abs=1e-4)
-    assert np.log(mount["odds"][0]) == pytest.approx(
-        min(total(turned) - total(np.array([*rotor, other])), 27.0), abs=1e-4
-    )
+    assert np.log(mount["odds"][0]) == pytest.approx(min(total(turned) - total(np.array([*rotor, other])), 27.0), abs=1e-4)
     weight = np.exp(turned - turned.max())
     yaw, course = weight.sum(axis=0), weight.sum(axis=1)
     assert mount["yaw"][0] == pytest.approx(yaw @ AMOUNTS / yaw.sum(), abs=1e-6)

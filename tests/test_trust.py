@@ -54,9 +54,7 @@ def frozen(flight, start=15.0, end=np.inf):
     return with_signal(flight, "motors", values=values)
 
 
-@pytest.mark.parametrize(
-    "seed, kind, loss", [(1, "figure-eight", 0.0), (2, "hover", 0.0), (3, "square", 0.4), (4, "climb", 1.0)]
-)
+@pytest.mark.parametrize("seed, kind, loss", [(1, "figure-eight", 0.0), (2, "hover", 0.0), (3, "square", 0.4), (4, "climb", 1.0)])
 def test_what_flew_is_trusted(seed, kind, loss):
     assert doubts(flown(seed, kind, loss)) == ()
 
@@ -143,9 +141,7 @@ def test_a_scale_has_an_error_that_noise_makes():
     for _ in range(50):
         motion = np.convolve(rng.normal(size=600), np.ones(10), "same")
         noise = rng.uniform(0.0, 3.0, 2) * motion.std()
-        low, high = inertial.scale(
-            1.5 * motion + noise[0] * rng.normal(size=600), motion + noise[1] * rng.normal(size=600)
-        )
+        low, high = inertial.scale(1.5 * motion + noise[0] * rng.normal(size=600), motion + noise[1] * rng.normal(size=600))
         held += low < 1.5 < high
     assert held >= 48
     low, high = inertial.scale(rng.normal(size=600), rng.normal(size=600))
@@ -194,9 +190,7 @@ def test_gravity_is_looked_at_over_the_whole_flight(monkeypatch, block):
 
 def test_clock_frame_and_publishers():
     flight = flown()
-    assert any(
-        "clock jumps at 20.0 s" in d for d in doubts(replace(flight, facts={**flight.facts, "clock_jumps": [20.0]}))
-    )
+    assert any("clock jumps at 20.0 s" in d for d in doubts(replace(flight, facts={**flight.facts, "clock_jumps": [20.0]})))
     assert doubts(replace(flight, facts={**flight.facts, "clock_jumps": [0.5]})) == ()
     assert any("two publishers" in d for d in doubts(replace(flight, facts={**flight.facts, "publishers": 2})))
     changed = replace(flight, parameter_changes=((20.0, "FRAME_CLASS", 2.0),))

@@ -155,10 +155,7 @@ def test_factors_at_their_bounds_are_named(found):
     assert found.notes == ()
     ends = np.array([1.0, tune.RANGE, 1.0, 1.0, 1.0 / tune.RANGE, 2.0, 1.0, tune.RANGE])
     (said,) = tune._at_bounds(ends, WRONG, "theta_walk")
-    assert (
-        "process noise of pitch rate (largest), measurement noise of pitch rate (smallest), theta_walk (largest)."
-        in said
-    )
+    assert "process noise of pitch rate (largest), measurement noise of pitch rate (smallest), theta_walk (largest)." in said
 
 
 @pytest.fixture
@@ -175,12 +172,7 @@ def tuned(monkeypatch):
 
         monkeypatch.setattr(tune, "fit", fitted)
         monkeypatch.setattr(tune, "log_likelihood", lambda name, table, tuning=None: -1.0 if tuning is None else after)
-        made = {
-            "one": flown(),
-            "two": flown("two.bin"),
-            "ground": on_the_ground(),
-            "hexa": flown("hexa.bin", frame=2, rotors=6),
-        }
+        made = {"one": flown(), "two": flown("two.bin"), "ground": on_the_ground(), "hexa": flown("hexa.bin", frame=2, rotors=6)}
         return tune.tune([made[f] for f in flights], "ekf"), asked
 
     return go
@@ -192,10 +184,7 @@ def test_a_tuning_that_makes_things_worse_says_so(tuned, tmp_path):
     (said,) = worse.notes
     assert "is worse: on two.bin" in said and "from -1.000 to -2.000; do not use it" in said
     tune.write(worse, tmp_path / "t.toml")
-    assert (
-        "The tuning is worse" in (tmp_path / "t.toml").read_text()
-        and "held_out_after = -2" in (tmp_path / "t.toml").read_text()
-    )
+    assert "The tuning is worse" in (tmp_path / "t.toml").read_text() and "held_out_after = -2" in (tmp_path / "t.toml").read_text()
     better, _ = tuned(-0.5, "one", "two")
     assert better.notes == () and (better.held_out_before, better.held_out_after) == (-1.0, -0.5)
 
@@ -213,17 +202,9 @@ def test_logs_to_tune_to_are_judged_first(tuned):
 
 
 def test_how_fast_losses_change_is_known_by_the_methods_own_names():
-    named = {
-        name: tune.pace_of(name, published.method(name, WRONG, DT)) for name in discovery.names() if name != "default"
-    }
+    named = {name: tune.pace_of(name, published.method(name, WRONG, DT)) for name in discovery.names() if name != "default"}
     assert set(named.values()) <= {None, *tune.PACES}
-    wanted = {
-        "ekf": "theta_walk",
-        "atsukf": "theta_walk",
-        "akf": "memory_s",
-        "axkf": "memory_s",
-        "mhe": None,
-    }
+    wanted = {"ekf": "theta_walk", "atsukf": "theta_walk", "akf": "memory_s", "axkf": "memory_s", "mhe": None}
     assert wanted.items() <= named.items()
 
 
@@ -231,9 +212,7 @@ def test_how_fast_losses_change_is_known_by_the_methods_own_names():
 
 
 def fit(q, r, walk):
-    return tune.Fit(
-        "ekf", "rate_dynamics", 0.05, Tuning(np.array(q), np.array(r), {"theta_walk": walk}), -1.0, 2.0, ('a "b".bin',)
-    )
+    return tune.Fit("ekf", "rate_dynamics", 0.05, Tuning(np.array(q), np.array(r), {"theta_walk": walk}), -1.0, 2.0, ('a "b".bin',))
 
 
 factor = st.floats(1e-4, 1e4)

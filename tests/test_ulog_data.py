@@ -12,12 +12,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.logs import ulog, ulog_data
 from rotorwatch_lab.simulation import scenario, simulate
 
-PLAN = {
-    "autopilot": "px4",
-    "duration_s": 25.0,
-    "airframe": {"frame": "quad-x"},
-    "trajectory": {"kind": "hover", "altitude_m": 2.0},
-}
+PLAN = {"autopilot": "px4", "duration_s": 25.0, "airframe": {"frame": "quad-x"}, "trajectory": {"kind": "hover", "altitude_m": 2.0}}
 
 
 def message(kind: str, body: bytes) -> bytes:
@@ -35,11 +30,7 @@ def whole(tmp_path_factory) -> bytes:
     late = [int(p) - 3 for p in found.places[found.kinds == ord("D")][[400, 900, 1500]]]
     key = b"float MC_ROLL_P"
     parameter = message("P", bytes([len(key)]) + key + struct.pack("<f", 7.5))
-    extra = (
-        message("O", struct.pack("<H", 120)),
-        parameter,
-        message("L", b"4" + struct.pack("<Q", 2_000_000) + b"hello"),
-    )
+    extra = (message("O", struct.pack("<H", 120)), parameter, message("L", b"4" + struct.pack("<Q", 2_000_000) + b"hello"))
     parts, at = [], 0
     for place, more in zip(late, extra, strict=True):
         parts += [data[at:place], more]
@@ -104,9 +95,7 @@ def test_what_is_not_sound_is_pyulogs(whole, kind, monkeypatch):
         "again": whole + whole[added - 3 : added + struct.unpack("<H", whole[added - 3 : added - 1])[0]],
         "unknown": whole[: data - 3] + message("Z", b"new") + whole[data - 3 :],
         "short": whole[: data - 3] + message("D", whole[data : data + size - 1]) + whole[data + size :],
-        "behind": whole[:16]
-        + message("B", bytes(8) + b"\1" + bytes(7) + struct.pack("<QQQ", data - 3, 0, 0))
-        + whole[16:],
+        "behind": whole[:16] + message("B", bytes(8) + b"\1" + bytes(7) + struct.pack("<QQQ", data - 3, 0, 0)) + whole[16:],
     }[kind]
     assert same(*both(made, monkeypatch))
 
@@ -114,9 +103,7 @@ def test_what_is_not_sound_is_pyulogs(whole, kind, monkeypatch):
 def test_it_is_used(whole, monkeypatch):
     """The log that pyulog gets is small."""
     sizes = []
-    monkeypatch.setattr(
-        ulog, "_File", lambda data, *more, real=ulog._File: sizes.append(len(data)) or real(data, *more)
-    )
+    monkeypatch.setattr(ulog, "_File", lambda data, *more, real=ulog._File: sizes.append(len(data)) or real(data, *more))
     flight = ulog.read(whole, "flight.ulg")
     assert flight.parameter_changes and all(t > 0.1 for t, _, _ in flight.parameter_changes)
     assert min(sizes) < 0.5 * len(whole)

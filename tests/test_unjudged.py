@@ -13,11 +13,7 @@ def table(seconds, mode=ticks.JUDGE, upset=False, valid=True, contacts=(), dt=0.
     """Ticks of a flight, all alike."""
     count = round(seconds / dt)
     return SimpleNamespace(
-        mode=np.full(count, mode),
-        upset=np.full(count, upset),
-        valid=np.full((count, 4), valid),
-        contacts=contacts,
-        dt=dt,
+        mode=np.full(count, mode), upset=np.full(count, upset), valid=np.full((count, 4), valid), contacts=contacts, dt=dt
     )
 
 
@@ -44,8 +40,7 @@ def test_the_reason_is_the_true_one_and_the_advice_fits_it(made, air, judged_s, 
 
 
 @pytest.mark.parametrize(
-    ("lengths", "ready_s"),
-    [((60.0,), 8.0), ((16.0,), 8.0), ((12.0,), 6.0), ((8.0, 4.0), 4.0), ((5.0,), 3.0), ((), 8.0)],
+    ("lengths", "ready_s"), [((60.0,), 8.0), ((16.0,), 8.0), ((12.0,), 6.0), ((8.0, 4.0), 4.0), ((5.0,), 3.0), ((), 8.0)]
 )
 def test_of_a_short_flight_half_is_learned_from_but_enough(lengths, ready_s):
     assert ticks.ready_of(ticks.READY_S, tuple((10.0 * k, 10.0 * k + s) for k, s in enumerate(lengths))) == ready_s

@@ -26,9 +26,7 @@ DT = 0.1
 def outputs(biases, odds=-5.0, onset=0.0, rotors=4):
     """Outputs of the estimator: biases (T, 4), and no evidence against any rotor."""
     T, kinds = len(biases), len(list_hypotheses(rotors).fault)
-    return SimpleNamespace(
-        biases=biases, log_odds=np.full((T, kinds), odds), onset=np.full(T, onset), pushed=np.zeros(T, bool)
-    )
+    return SimpleNamespace(biases=biases, log_odds=np.full((T, kinds), odds), onset=np.full(T, onset), pushed=np.zeros(T, bool))
 
 
 def losses(biases, table, effectiveness=B):
@@ -255,9 +253,7 @@ def test_rotors_that_the_step_cannot_distinguish_are_all_named(drag):
     twins[2, 4] += drag
     table.thrust = np.ones((len(table.time), 5))
     (spell,) = accused(evidence(table), table, biases, effectiveness=twins)
-    assert set(spell.rotors) == {1, 5} and spell.interval[0] == pytest.approx(
-        spell.interval[1], rel=1e-6 if drag == 0.0 else 0.02
-    )
+    assert set(spell.rotors) == {1, 5} and spell.interval[0] == pytest.approx(spell.interval[1], rel=1e-6 if drag == 0.0 else 0.02)
 
 
 @pytest.mark.filterwarnings("error")
@@ -367,9 +363,7 @@ def test_the_best_step_is_that_of_a_plain_search():
             A, y = B[:3, i] / spread, step / spread
             loss, own = A @ y / (A @ A), 1 / np.sqrt(A @ A)
             size, half = max(loss, 0.0), stats.t.ppf(0.975, N - 2) * own
-            curve = (
-                0.08 * size * (1.0 - size) / (1.0 - size + 0.08 * size)
-            )  # a thrust curve that is off by 8 % in slope
+            curve = 0.08 * size * (1.0 - size) / (1.0 - size + 0.08 * size)  # a thrust curve that is off by 8 % in slope
             expected[i] = max(expected[i], size + 1.96 * np.hypot(half / 1.96, curve))
     np.testing.assert_allclose(losses(biases, table), np.minimum(expected, 1.0), rtol=1e-9)
 

@@ -116,9 +116,7 @@ def rolled(flight: Flight, name: str, start: float, end: float, degrees: float) 
     """The flight with a roll of so many degrees in one signal, from start to end."""
     signal = flight[name]
     half = np.radians(degrees) / 2.0
-    q = np.where(
-        ((signal.time >= start) & (signal.time < end))[:, None], [np.cos(half), np.sin(half), 0, 0], signal.values
-    )
+    q = np.where(((signal.time >= start) & (signal.time < end))[:, None], [np.cos(half), np.sin(half), 0, 0], signal.values)
     return replace(flight, signals={**flight.signals, name: replace(signal, values=q)})
 
 
@@ -174,8 +172,7 @@ def test_rates_that_follow_late_what_was_wanted_are_under_control(follows, lost)
 
     actual = rolls(time - follows) if follows else np.where((time > 5.0)[:, None], [20.0, 0, 0], np.zeros(3))
     rates = {
-        name: Signal(time, values, ("p", "q", "r"), "rad/s", "FRD")
-        for name, values in (("rates_wanted", rolls(time)), ("gyro", actual))
+        name: Signal(time, values, ("p", "q", "r"), "rad/s", "FRD") for name, values in (("rates_wanted", rolls(time)), ("gyro", actual))
     }
     flight = replace(flight, signals={"attitude": flight["attitude"], **rates})
     assert bool(loss_of_control.find(flight, [(0.0, 10.0)])) is lost
@@ -202,9 +199,7 @@ def test_a_vehicle_that_follows_late_what_was_wanted_is_under_control():
 def attitudes(time, pitch, heading):
     """(n, 4) of a vehicle that pitches, then turned to a heading, both in degrees."""
     p, h = (np.radians(np.broadcast_to(x, time.shape)) / 2.0 for x in (pitch, heading))
-    return np.stack(
-        [np.cos(h) * np.cos(p), -np.sin(h) * np.sin(p), np.cos(h) * np.sin(p), np.sin(h) * np.cos(p)], axis=1
-    )
+    return np.stack([np.cos(h) * np.cos(p), -np.sin(h) * np.sin(p), np.cos(h) * np.sin(p), np.sin(h) * np.cos(p)], axis=1)
 
 
 def test_a_heading_that_is_wanted_suddenly_is_no_loss_of_control_and_hides_none():
@@ -313,9 +308,7 @@ def test_each_rotor_is_told_from_the_others(rotor):
     given = T.copy()
     given[6:, rotor] = 0.0
     rate_dot = (given @ B.T)[:, :3] / (4 * INERTIA)
-    found, probability = explain(
-        window(T, rate_dot, given.mean(axis=1)), B, Offset(np.zeros(3), np.full(3, 0.1)), np.arange(4, 9), False
-    )
+    found, probability = explain(window(T, rate_dot, given.mean(axis=1)), B, Offset(np.zeros(3), np.full(3, 0.1)), np.arange(4, 9), False)
     assert found[0].kind == "rotor"
     assert found[0].rotors == (rotor,)
     assert probability[0] > 0.9
@@ -406,11 +399,7 @@ def test_the_size_of_a_loss_is_the_falls_where_that_shows_more_for_certain(annou
     judged = find.Judged(left, "rotor", (best,), np.ones(1), None, 5.0, ("the motion",))
     known = Event("loss_of_effectiveness", (3,), 4.9, 5.1, None, announced[:1], (announced[1:],), 1.0, (), "announced")
     loss, lost = falls.events([judged], [known], 4)
-    assert (
-        (loss.loss, *loss.interval) == (told[:1], told[1:])
-        and loss.detected_s == 5.1
-        and loss.rotors == lost.rotors == (3,)
-    )
+    assert (loss.loss, *loss.interval) == (told[:1], told[1:]) and loss.detected_s == 5.1 and loss.rotors == lost.rotors == (3,)
 
 
 @pytest.mark.parametrize("since_s", [0.0, 5.0])
@@ -418,9 +407,7 @@ def test_a_rotor_whose_output_is_not_known_clears_and_accuses_nobody(since_s):
     """From so long before control was lost, or from the begin of the log on."""
     flight, truth = tumbling.fly("quad-x", "climb", 1, 50.0, 11.0)
     motors, other = flight["motors"], truth.rotors[0] % 4
-    valid = motors.valid & ~(
-        (motors.time > (truth.begins_s - since_s if since_s else 0.0))[:, None] & (np.arange(4) == other)
-    )
+    valid = motors.valid & ~((motors.time > (truth.begins_s - since_s if since_s else 0.0))[:, None] & (np.arange(4) == other))
     diagnosis = diagnose(replace(flight, signals={**flight.signals, "motors": replace(motors, valid=valid)}), QUAD)
     (lost,) = of(diagnosis, "loss_of_control")
     assert not lost.rotors and not lost.alternatives
@@ -435,9 +422,7 @@ def test_the_air_carries_a_vehicle_that_falls_the_more_the_faster_it_falls():
     none, ok = np.zeros((time.size, 4)), np.ones(time.size, bool)
 
     def air(load):
-        window = Window(
-            time, none, 2.0, none[:, :3], none[:, :3], load, ok[:, None] & ok[:3], ok, none, none, onset=2.0
-        )
+        window = Window(time, none, 2.0, none[:, :3], none[:, :3], load, ok[:, None] & ok[:3], ok, none, none, onset=2.0)
         return balance._air(window)
 
     assert not air(np.ones(time.size)).any() and not air(np.full(time.size, 1.2)).any()

@@ -16,9 +16,7 @@ numbers = st.floats(-1e6, 1e6)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 values = st.one_of(st.booleans(), st.integers(-(10**9), 10**9), numbers, texts, st.lists(numbers, max_size=4))
 trees = st.dictionaries(texts, st.one_of(values, st.dictionaries(texts, values, max_size=3)), max_size=4)
-rotors = st.builds(
-    Rotor, st.floats(0.01, 3), st.floats(-3, 3), st.sampled_from([1, -1, 0]), st.floats(0.1, 10), st.booleans()
-)
+rotors = st.builds(Rotor, st.floats(0.01, 3), st.floats(-3, 3), st.sampled_from([1, -1, 0]), st.floats(0.1, 10), st.booleans())
 
 
 @st.composite

@@ -66,11 +66,7 @@ def pieces(flight, seed=0, most=4.0):
     while before <= end:
         now += rng.choice([0.03, 0.2, most])
         part = {name: s.between(before, now) for name, s in flight.signals.items()}
-        yield (
-            {name: s for name, s in part.items() if len(s)},
-            [m for m in flight.messages if before <= m.time < now],
-            now,
-        )
+        yield ({name: s for name, s in part.items() if len(s)}, [m for m in flight.messages if before <= m.time < now], now)
         before = now
 
 
@@ -82,13 +78,7 @@ def replayed(flight, **options):
     return alerts, replay.watched
 
 
-OF_WHOLE_FLIGHTS = (
-    AT_LIMIT,
-    HEAVY,
-    UNEVEN,
-    STANDS_APART,
-    EXHAUSTED,
-)  # how outputs are set up: no link is asked for that
+OF_WHOLE_FLIGHTS = (AT_LIMIT, HEAVY, UNEVEN, STANDS_APART, EXHAUSTED)  # how outputs are set up: no link is asked for that
 
 
 def last_words(alerts):
@@ -109,9 +99,7 @@ def test_a_log_replayed_gives_the_events_of_diagnose(name):
     assert len(found) == len(wanted)
     for one, other in zip(found, sorted(wanted, key=lambda e: (e["detected_s"], e["kind"], e["rotors"]))):
         near = ["loss", "interval", "loss_2s", "probability"]
-        if (
-            one["kind"] == "output_override"
-        ):  # one that lasts until an impact ends with it, or with the first outputs after it
+        if one["kind"] == "output_override":  # one that lasts until an impact ends with it, or with the first outputs after it
             near.append("end_s")
             np.testing.assert_allclose(one["end_s"] or np.inf, other["end_s"] or np.inf, rtol=0.0, atol=0.2)
         assert {k: v for k, v in one.items() if k not in near} == {k: v for k, v in other.items() if k not in near}
@@ -162,9 +150,7 @@ def test_aerobatics_are_never_told_as_a_loss_of_control():
     assert [a for a in alerts if a["type"] == "event" and a["event"]["kind"] == "loss_of_control"] == []
 
 
-@pytest.mark.parametrize(
-    "name", ["ardupilot-sitl/quadx_m1_mul0.90_hover.bin.xz", "wild/output-off-1.ulg.xz", "wild/slow-bin-1.bin.xz"]
-)
+@pytest.mark.parametrize("name", ["ardupilot-sitl/quadx_m1_mul0.90_hover.bin.xz", "wild/output-off-1.ulg.xz", "wild/slow-bin-1.bin.xz"])
 def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     flight = flight_of(name)
     vehicle = airframes.identify(flight)
@@ -181,9 +167,7 @@ def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     together, plan = ticks.joined(found), stream.plan
     commands = flight["control" if allocation.faster_control(flight) else "motors"]
     assert (plan.dt, plan.gyro, plan.accel) == (ticks.plan(flight, commands, READY_S).dt, plan.gyro, plan.accel)
-    whole = ticks.assemble(
-        ticks.sense(flight, allocation.rotor_thrusts(flight, vehicle), plan), plan, vehicle.effectiveness(), last.spans
-    )
+    whole = ticks.assemble(ticks.sense(flight, allocation.rotor_thrusts(flight, vehicle), plan), plan, vehicle.effectiveness(), last.spans)
     assert last.spans == airborne(flight)
     count = min(len(whole.time), len(together.time))
     assert abs(len(whole.time) - len(together.time)) <= 1.5 / plan.dt  # after the last command nothing flies
@@ -305,10 +289,7 @@ def test_the_view_says_what_is_wrong_first():
     fell = hexa_event(kind="loss_of_control", rotors=(), loss=(), interval=(), extra={"cause": "disarmed"})
     assert view.line(watched_with([fell])).state == "LOST"
     gone = watched_with([])
-    gone.session, gone.gone = (
-        SimpleNamespace(flying=True, losses=lambda: None, now=50.0),
-        "no motor outputs that can be used",
-    )
+    gone.session, gone.gone = (SimpleNamespace(flying=True, losses=lambda: None, now=50.0), "no motor outputs that can be used")
     assert (view.line(gone).state, view.line(gone).blind) == ("BLIND", gone.gone)
     silent = view.line(watched_with([], last_frame=-100.0))
     assert silent.state == "SILENT" and "silent for" in silent.link

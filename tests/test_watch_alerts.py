@@ -212,13 +212,7 @@ def told():
 
 
 def alert(number=1, state="announced", **event):
-    return {
-        "type": "event",
-        "vehicle": "udp:14550/7",
-        "number": number,
-        "state": state,
-        "event": hexa_event(**event).to_dict(),
-    }
+    return {"type": "event", "vehicle": "udp:14550/7", "number": number, "state": state, "event": hexa_event(**event).to_dict()}
 
 
 def texts(wire):
@@ -241,9 +235,7 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
     assert step(alert(state="changed", loss=(0.41,))) == []
     assert step(alert(state="changed", loss=(0.48,))) == [(ground.WARNING, "rotorwatch: rotor 3 lost 48 % (33-41)")]
     assert step(alert(state="changed", loss=(0.40,))) == []
-    assert step(alert(state="changed", alternatives=((4,),))) == [
-        (ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41) or 4")
-    ]
+    assert step(alert(state="changed", alternatives=((4,),))) == [(ground.WARNING, "rotorwatch: rotor 3 lost 37 % (33-41) or 4")]
     assert step(alert(state="changed", end_s=40.0)) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) is over")]
     assert step(alert(state="withdrawn")) == [(INFO, "rotorwatch: rotor 3 lost 37 % (33-41) withdrawn")]
     assert step(alert(number=2), alert(number=2, state="withdrawn")) == []  # gone before it was said

@@ -142,18 +142,11 @@ def test_what_fails_beside_the_judging_ends_nothing_and_is_said_once(monkeypatch
 def test_a_source_that_fails_is_tried_again_and_one_that_ends_leaves_the_others(monkeypatch):
     monkeypatch.setattr(watch, "FIRST_S", 0.001)
     told = []
-    failing, ending, good = (
-        Source(9, {3: ValueError("bug"), 4: ValueError("bug")}),
-        Source(9, {2: LinkError("gone.")}),
-        Source(60),
-    )
+    failing, ending, good = (Source(9, {3: ValueError("bug"), 4: ValueError("bug")}), Source(9, {2: LinkError("gone.")}), Source(60))
     guarded = [watch.Guarded(name, one, told.append) for name, one in zip("abc", (failing, ending, good))]
     watch.watch(guarded)
     assert failing.polled == 9 and ending.polled == 2 and good.polled == 60
-    assert [(t["vehicle"], t["text"][:4]) for t in told] in (
-        [("b", "gone"), ("a", "an e")],
-        [("a", "an e"), ("b", "gone")],
-    )
+    assert [(t["vehicle"], t["text"][:4]) for t in told] in ([("b", "gone"), ("a", "an e")], [("a", "an e"), ("b", "gone")])
     assert failing.left and ending.left and good.left
 
 
@@ -185,9 +178,7 @@ def test_a_vehicle_that_cannot_be_shown_hides_no_other_and_is_judged_on(monkeypa
     guarded = live.Guarded("udp:1", source, feed)
     feed._sources = [guarded]
     line = live.view.line
-    monkeypatch.setattr(
-        live.view, "line", lambda watched, waits: line(watched, waits) if watched.name == "b" else 1 / 0
-    )
+    monkeypatch.setattr(live.view, "line", lambda watched, waits: line(watched, waits) if watched.name == "b" else 1 / 0)
     assert guarded.poll(0.0)
     feed._show()
     feed._show()
@@ -326,9 +317,7 @@ def test_those_that_send_only_heartbeats_give_way_to_one_that_sends_more():
             wire.queue.append(("c" if k == real else "b", beat.pack(pack)))
             pack.seq = (pack.seq + 1) % 256
             if k == real:
-                wire.queue.append(
-                    ("c", mavlink.MAVLink_attitude_message(int(now[0] * 1e3), 0, 0, 0, 0, 0, 0).pack(pack))
-                )
+                wire.queue.append(("c", mavlink.MAVLink_attitude_message(int(now[0] * 1e3), 0, 0, 0, 0, 0, 0).pack(pack)))
                 pack.seq = (pack.seq + 1) % 256
         now[0] += 1.0
         link.poll(0.0)
@@ -428,9 +417,7 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
     )
     arguments = ["watch", f"udpin:127.0.0.1:{port}", "--jsonl", "--record", str(tmp_path)]
     arguments += ["--webhook", f"http://127.0.0.1:{slow.server_port}"]
-    child = subprocess.Popen(
-        [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    )
+    child = subprocess.Popen([sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     vehicle.start()
     try:
         until = time.monotonic() + 30.0
@@ -458,9 +445,7 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
 
 def test_one_endpoint_without_a_vehicle_does_not_end_the_others(capsys):
     with pytest.raises(SystemExit) as left:
-        cli.main(
-            ["watch", f"udpin:127.0.0.1:{free_port()}", str(SAMPLE), "--patience", "0", "--speed", "max", "--jsonl"]
-        )
+        cli.main(["watch", f"udpin:127.0.0.1:{free_port()}", str(SAMPLE), "--patience", "0", "--speed", "max", "--jsonl"])
     out, err = capsys.readouterr()
     assert '"frame": "ardupilot-quad-x"' in out and '"type": "error"' in out
     assert left.value.code == 2 and "no heartbeat of a multirotor" in err

@@ -271,9 +271,7 @@ class Late(Autopilot):
     sends = False
 
     def _value(self, k):
-        return (
-            super()._value(k) if self.sends else ardupilotmega.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3)
-        )
+        return super()._value(k) if self.sends else ardupilotmega.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3)
 
 
 KEY = "ArduPilot-4d-04050700"
@@ -381,9 +379,7 @@ def test_wild_values_in_sound_frames_end_nothing(flight):
     rng = np.random.default_rng(5)
     link, wire, autopilot, _alerts, data = linked(flight, seconds=14.0)
     seeds = {name: message.seed for name, message in mavlink_messages.by_name().items()}
-    known = [
-        (k, v) for k, v in mavlink.layouts().items() if v.name in seeds and v.name not in ("HEARTBEAT", "PARAM_VALUE")
-    ]
+    known = [(k, v) for k, v in mavlink.layouts().items() if v.name in seeds and v.name not in ("HEARTBEAT", "PARAM_VALUE")]
 
     def mangled(piece):
         identity, layout = known[rng.integers(len(known))]

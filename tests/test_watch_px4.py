@@ -80,9 +80,7 @@ def test_outputs_that_drive_other_rotors_accuse_nobody(monkeypatch):
     answer = diagnose(wrong)
     assert answer.verdict == "inconclusive" and "other rotors" in answer.reason
     assert not [e for e in answer.events if e.kind == "loss_of_effectiveness"]
-    monkeypatch.setattr(
-        "rotorwatch.logs.tlog.motor_outputs", lambda parameters: {"PWM_MAIN": {k: k for k in range(1, 5)}}
-    )
+    monkeypatch.setattr("rotorwatch.logs.tlog.motor_outputs", lambda parameters: {"PWM_MAIN": {k: k for k in range(1, 5)}})
     alerts, _ = overheard(path)
     assert not held(alerts)
     assert "other rotors" in [a for a in alerts if a["type"] == "error"][-1]["text"]

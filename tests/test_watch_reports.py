@@ -26,9 +26,7 @@ def told(flight, folder, more):
     said = [*messages(flight, kind=QUAD), *more]
     autopilot = Autopilot({})
     frames = [(at, bytes(autopilot.packed(m))) for at, m in sorted(said, key=lambda one: one[0])]
-    parameters = {
-        n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16
-    }
+    parameters = {n: v for n, v in flight.parameters.items() if n.startswith(("FRAME", "MOT_", "SERVO")) and len(n) <= 16}
     alerts, _ = watched(arriving(frames, Faults(), np.random.default_rng(0)), parameters, QUAD, folder)
     (path,) = folder.glob("*.tlog")
     last = {a["number"]: a for a in alerts if a["type"] == "event"}
@@ -65,11 +63,7 @@ def test_texts_health_and_vibration_of_a_link_go_through_the_same_table(flight, 
     for (name, at), (other, when) in zip(of_reports(held), of_reports(recorded), strict=True):
         assert name == other and abs(at - when) < 1.1
     texts = {e["trouble"]: e["reason"] for e in held if e["kind"] == REPORTED}
-    assert (
-        '"EKF variance"' in texts["estimator"]
-        and "radio unhealthy" in texts["radio"]
-        and "45 m/s" in texts["vibration"]
-    )
+    assert '"EKF variance"' in texts["estimator"] and "radio unhealthy" in texts["radio"] and "45 m/s" in texts["vibration"]
     announced = [a for a in alerts if a["type"] == "event" and a["event"]["kind"] == REPORTED]
     (shaking,) = [a for a in announced if a["event"]["trouble"] == "vibration"]
     assert "vibration was up to" in view.announced(shaking)

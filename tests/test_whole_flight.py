@@ -80,9 +80,7 @@ def test_damage_is_found_named_and_its_interval_holds():
         spreads, rotor = build(rng, QUAD), 1 + k % 4
         extra = rng.exponential(wf.LOSS_MEAN)
         theta = extra / (1.0 + extra)
-        result = wf.judge(
-            damaged(rng, QUAD, spreads, rotor, theta), [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD
-        )
+        result = wf.judge(damaged(rng, QUAD, spreads, rotor, theta), [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD)
         if theta > 0.25:
             found.append(result.verdict != "healthy")
         if result.verdict == "healthy":
@@ -176,9 +174,7 @@ def test_certainty_is_how_often_it_is_right():
         flight = flight._replace(share=tuple(np.exp(weight) * np.array(flight.share)))
         baseline = [drawn(rng, QUAD, *spreads) for _ in range((2, 3, 6)[k % 3])]
         found = wf._weigh(
-            *wf._difference(flight, baseline),
-            np.mean([np.array(one.share) / np.mean(one.share) for one in baseline], axis=0),
-            QUAD,
+            *wf._difference(flight, baseline), np.mean([np.array(one.share) / np.mean(one.share) for one in baseline], axis=0), QUAD
         )
         total = sum(h.weight for h in found)
         for rotor in range(4):
@@ -223,11 +219,7 @@ def test_no_odds_are_claimed_that_few_flights_cannot_show():
     rng = np.random.default_rng(9)
     spreads = [np.eye(3) * 1e-6] * 2
     bent = drawn(rng, QUAD, *spreads, share=[1.6, 1.0, 1.0, 1.0])
-    for count, words in (
-        (1, "one flight cannot show that"),
-        (3, "3 flights are too few to show that"),
-        (12, "12 flights were"),
-    ):
+    for count, words in ((1, "one flight cannot show that"), (3, "3 flights are too few to show that"), (12, "12 flights were")):
         baseline = [drawn(rng, QUAD, *spreads) for _ in range(count)]
         result = wf.judge(bent, baseline, QUAD)
         assert result.verdict == "fault" and result.p_value == wf.FALSE_FAULT
@@ -298,10 +290,7 @@ def hover(loss=0.0, rotor=1, slope=1.8, gust=0.02, seed=0, duration=80.0):
     a = (np.sqrt((1 - curve.expo) ** 2 + 4 * curve.expo * share) - (1 - curve.expo)) / (2 * curve.expo)
     pwm = curve.u_min + a * (curve.u_max - curve.u_min)
     accel = np.column_stack([force, -np.ones(len(time))]) * wf.G0
-    signals = {
-        "motors": Signal(time, pwm, ("r1", "r2", "r3", "r4"), "us"),
-        "accel": Signal(time, accel, ("x", "y", "z"), "m/s^2"),
-    }
+    signals = {"motors": Signal(time, pwm, ("r1", "r2", "r3", "r4"), "us"), "accel": Signal(time, accel, ("x", "y", "z"), "m/s^2")}
     return Flight("made", "ArduPilot", signals, duration, name=f"hover {seed}")
 
 

@@ -45,15 +45,10 @@ def test_a_rotor_in_words(state, loss, interval):
 
 def test_the_comparison_with_healthy_flights_in_words():
     rows = dict(healthy_flights.rows(against_healthy()))
-    assert (
-        rows["answer"] == "fault found: rotor 3 lost thrust"
-        and rows["compared with"] == "3 healthy flights of this build"
-    )
+    assert rows["answer"] == "fault found: rotor 3 lost thrust" and rows["compared with"] == "3 healthy flights of this build"
     assert rows["what explains the difference"] == "rotor 3 (front left) 90 %; a shifted centre of mass 6 %"
     assert rows["all rotors together"].startswith("11 % more command")
-    assert dict(healthy_flights.rows(against_healthy(common=-0.1)))["all rotors together"].startswith(
-        "10 % less command"
-    )
+    assert dict(healthy_flights.rows(against_healthy(common=-0.1)))["all rotors together"].startswith("10 % less command")
     assert dict(healthy_flights.rows(against_healthy(common=0.0)))["all rotors together"].startswith("0 % less command")
     assert dict(healthy_flights.rows(against_healthy(flights=1)))["compared with"] == "1 healthy flight of this build"
     assert "all rotors together" not in dict(healthy_flights.rows(against_healthy(verdict="inconclusive")))
@@ -70,14 +65,9 @@ def test_a_headline_is_short_and_says_how_much_it_leaves_out():
     assert headline([lost, sank[:60]]) == f"{lost} {sank[:60]}", "what fits stays as it is"
     assert headline([lost, said]) == f"{lost} {said}"
     assert headline([lost, sank]) == f"{lost} Without it the vehicle sank by 6 m in 2.7 s."
-    assert (
-        headline([lost, caveat, said], caveats=[caveat])
-        == f"{lost} At 27.58 s the autopilot reported an estimator fault."
-    )
+    assert headline([lost, caveat, said], caveats=[caveat]) == f"{lost} At 27.58 s the autopilot reported an estimator fault."
     assert headline([said, said, lost], 2).endswith(f"fault. {lost} And 1 more finding."), "the main one stays"
     many = headline([lost, *[sank.replace("it", f"rotor {k}") for k in range(9)]])
     assert many.startswith(lost) and many.endswith(" more findings.") and len(many) <= LONGEST
-    either = (
-        "Loss of thrust at 30.00 s: " + ", or ".join(f"rotors {k} (front left) and {k + 4}" for k in range(9)) + "."
-    )
+    either = "Loss of thrust at 30.00 s: " + ", or ".join(f"rotors {k} (front left) and {k + 4}" for k in range(9)) + "."
     assert len(headline([either])) <= LONGEST and headline([either]).endswith(", or others.")

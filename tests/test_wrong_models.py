@@ -25,9 +25,7 @@ def flown_again(known, real, gamma, wind, drag, lever, samples):
     def rate(_, Y, U, h, air):
         angles, rates, v = Y[:3], Y[6:9], Y[9:]
         (cf, ct, cp), (sf, st, sp) = np.cos(angles), np.sin(angles)
-        axis = np.array(
-            [cf * st * cp + sf * sp, cf * st * sp - sf * cp, cf * ct]
-        )  # third column of eq. (1), as eq. (5) has it
+        axis = np.array([cf * st * cp + sf * sp, cf * st * sp - sf * cp, cf * ct])  # third column of eq. (1), as eq. (5) has it
         push = m * drag * (air - v)
         blown = lever * np.cross([0.0, 0.0, 1.0], push) * [1.0, 1.0, 0.0]
         torque = U[:3] + blown - np.cross(rates, inertia @ rates + [0.0, 0.0, h])
@@ -170,9 +168,7 @@ def test_the_bound_by_integrating_the_errors_densely():
     assert row["held"] and size[-300:].max() < row["bound"]
     # The same differential equation, solved by another integrator with eta as a function of time.
     eta = lambda s: epsilon * (2.0 * push(s) @ push(s) + rate(s) @ rate(s))  # noqa: E731
-    V = solve_ivp(lambda s, V: -found["sigma"] * V + eta(s), (t[1], t[-1]), [size[1] ** 2], t_eval=t[1:], rtol=1e-8).y[
-        0
-    ]
+    V = solve_ivp(lambda s, V: -found["sigma"] * V + eta(s), (t[1], t[-1]), [size[1] ** 2], t_eval=t[1:], rtol=1e-8).y[0]
     assert (limit[1:] ** 2 >= V * (1 - 1e-6)).all()  # steps of eta are rounded up
     np.testing.assert_allclose(limit[-1] ** 2, V[-1], rtol=0.03)
 
@@ -181,10 +177,7 @@ def test_without_rates_the_observer_converges_and_the_theorem_is_silent():
     """A channel's errors have the poles of s^3 + 10 s^2 + 25 s + 25 alpha; no L reaches the rates' part of Sigma, 2 alpha + 1 / epsilon."""
     found = printed.matching(1.0, 50.0)
     assert found["rank_CE"] == {"all eight": 4, "angles and height": 0} and found["least"] == pytest.approx(2.02)
-    assert (
-        found["slowest"] == pytest.approx(np.roots([1.0, 10.0, 25.0, 25.0]).real.max(), abs=1e-6)
-        and found["slowest"] < 0
-    )
+    assert found["slowest"] == pytest.approx(np.roots([1.0, 10.0, 25.0, 25.0]).real.max(), abs=1e-6) and found["slowest"] < 0
 
 
 def test_the_printed_observer_is_its_equations():

@@ -73,18 +73,14 @@ def _lost(time: np.ndarray, away: np.ndarray, gone: np.ndarray) -> float | None:
     if gone.any():
         return float(time[np.argmax(gone)])
     for k in np.flatnonzero((away > LEFT_DEG) & (np.concatenate([[0.0], away[:-1]]) <= LEFT_DEG)):
-        back = (away[k : k + round((GONE_S + BACK_S) / DT)] < BACK_DEG) & (
-            away[k : k + round((GONE_S + BACK_S) / DT)] > 0.0
-        )
+        back = (away[k : k + round((GONE_S + BACK_S) / DT)] < BACK_DEG) & (away[k : k + round((GONE_S + BACK_S) / DT)] > 0.0)
         stays = np.convolve(back, np.ones(round(BACK_S / DT)), "valid") > round(BACK_S / DT) - 0.5
         if not stays.any():
             return float(time[k])
     return None
 
 
-def fly(
-    frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float = 26.0, later: float = 17.0
-) -> tuple[Flight, Truth]:
+def fly(frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float = 26.0, later: float = 17.0) -> tuple[Flight, Truth]:
     """One flight of an ArduPilot frame ("quad-x") and what truly happened. log_hz: of the outputs; later: when what happens in
     cruise or hover begins [s]."""
     rng, more = np.random.default_rng(seed), np.random.default_rng([seed, 1])
@@ -152,9 +148,7 @@ def fly(
         if case == "aerobatics" and 12.0 <= t < 20.0 and (t - 12.0) % 4.0 < 2.0 * np.pi / 6.0:
             rates = rates + np.array([6.0, 0.0, 0.0])
         torque = J * np.array([16.0, 16.0, 4.0]) * (rates - gyro)
-        level = float(
-            np.clip(np.linalg.norm(force) / G / max(0.5, Rb[2, 2] if case != "aerobatics" else 1.0), 0.0, 0.9 * full)
-        )
+        level = float(np.clip(np.linalg.norm(force) / G / max(0.5, Rb[2, 2] if case != "aerobatics" else 1.0), 0.0, 0.9 * full))
         ready = float(np.clip((t - LIFT_S) / 1.0 + 0.05, 0.0, 1.0))
         roll_pitch, yaw = mix @ np.array([torque[0], torque[1], 0, 0]), mix @ np.array([0, 0, torque[2], 0])
         most = np.abs(roll_pitch).max()
@@ -174,11 +168,7 @@ def fly(
         T = T + (given - T) * DT / lag
         air = (
             wind
-            + (
-                (strongest - np.linalg.norm(wind)) * along
-                if case == "gust" and 12.0 < t < 18.0 and t % 3.0 < 1.5
-                else 0.0
-            )
+            + ((strongest - np.linalg.norm(wind)) * along if case == "gust" and 12.0 < t < 18.0 and t % 3.0 < 1.5 else 0.0)
             + 0.3 * np.sin(np.array([1.1, 1.7, 0.9]) * t)
         )
         flow = R.T @ (air - v) * (0.0 if grounded else moment)
@@ -253,9 +243,7 @@ def fly(
         **({"attitude_wanted": signal(a["wanted"], 10.0, quaternion, "1", frame="FRD->NED")} if shown else {}),
         "velocity": signal(a["v"], 10.0, ("n", "e", "d"), "m/s", frame="NED"),
         "position": signal(a["p"], 10.0, ("n", "e", "d"), "m", frame="NED"),
-        "battery": signal(
-            np.stack([a["volts"], np.full(len(a["t"]), 10.0)], axis=1), 5.0, ("voltage", "current"), "V,A"
-        ),
+        "battery": signal(np.stack([a["volts"], np.full(len(a["t"]), 10.0)], axis=1), 5.0, ("voltage", "current"), "V,A"),
     }
     kind = {4: (1.0, 1.0), 6: (2.0, 1.0), 8: (3.0, 1.0)}
     classes = {

@@ -13,10 +13,7 @@ from rotorwatch.witnesses.healthy.learned import learned
 
 
 def calibrate(
-    flights: Given | Iterable[Given],
-    progress: Callable | None = None,
-    dynamics: Callable | None = None,
-    vehicle: Vehicle | None = None,
+    flights: Given | Iterable[Given], progress: Callable | None = None, dynamics: Callable | None = None, vehicle: Vehicle | None = None
 ) -> Vehicle:
     """The flights' airframe with what was learned from them in ``identified``:
 
@@ -30,9 +27,7 @@ def calibrate(
     called with the finished share. dynamics: called as dynamics(list of ticks.Ticks, B) -> mapping of floats and lists, in place of learn.
     vehicle: the airframe, for logs that do not name theirs. Raises ConfigError without a flight, VehicleError when no healthy flight of one
     build is left, LogError for an unreadable file."""
-    kept, rejected = baselines.healthy(
-        flights, diagnose, vehicle, progress=(lambda share: progress(0.9 * share)) if progress else None
-    )
+    kept, rejected = baselines.healthy(flights, diagnose, vehicle, progress=(lambda share: progress(0.9 * share)) if progress else None)
     calibrated = learned(kept, dynamics)
     if progress:
         progress(1.0)

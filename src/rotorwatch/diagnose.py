@@ -99,9 +99,7 @@ def diagnose(
         estimator = estimator if isinstance(estimator, str) else discovery.estimator(estimator)
         discovery.estimator(estimator)
     elif tuning is not None:
-        raise ConfigError(
-            "The default estimator learns its noise in flight; name the estimator that the tuning is for."
-        )
+        raise ConfigError("The default estimator learns its noise in flight; name the estimator that the tuning is for.")
     if not isinstance(flight, Flight):
         from rotorwatch import logs
 
@@ -180,9 +178,7 @@ def _flown(log: LogCase, progress: Callable[[float], object]) -> LogCase:
     ready_s = READY_KNOWN_S if dynamics and turns else READY_S
     ready_s = ticks.ready_of(ready_s, log.air) if turns else ready_s
     flown = fly(flight, log.vehicle, log.air, ready_s, dynamics, progress) if moves else None
-    written, done = (
-        (None, None) if flown is None else (flown[0], Estimated(flown[1].table, flown[1].out, written=flown[0]))
-    )
+    written, done = (None, None) if flown is None else (flown[0], Estimated(flown[1].table, flown[1].out, written=flown[0]))
     hovers = not aerobatic.applies(flight, None if done is None else done.table)
     ready_s = ticks.ready_after(ready_s, 0.0 if done is None else done.table.dt)
     if done is not None and not hovers:
@@ -209,9 +205,7 @@ def _no_flight(log: LogCase, clock: _Clock) -> Diagnosis:
     elif log.air:
         why = unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
     B = log.vehicle.effectiveness()
-    view = View(
-        log.flight, log.vehicle, log.air or ((0.0, log.flight.duration),), (), B, hovers=log.hovers, lost=log.lost
-    )
+    view = View(log.flight, log.vehicle, log.air or ((0.0, log.flight.duration),), (), B, hovers=log.hovers, lost=log.lost)
     told = witness.ask(Stage.CLAIMS, view)
     if not log.air:  # of a log without a flight only why the autopilot ended it
         told = tuple(e for e in told if e.extra.get("trouble") in conclusion.GRAVE)
@@ -222,11 +216,7 @@ def _no_flight(log: LogCase, clock: _Clock) -> Diagnosis:
 
 
 def estimated(
-    log: LogCase,
-    estimator: Any = "default",
-    tuning: Any = None,
-    progress: Callable | None = None,
-    whole: bool = False,
+    log: LogCase, estimator: Any = "default", tuning: Any = None, progress: Callable | None = None, whole: bool = False
 ) -> Estimated:
     """The outputs of an estimator at the ticks of a log that has some; a vehicle that does not hover has a method of its own. whole: with
     all outputs of each tick (`engine.driver.RECORDED`)."""
@@ -240,9 +230,7 @@ def estimated(
     run = discovery.first("rotorwatch.estimation", "An estimator other than the default one")
     table, tell = log.estimated.table, progress or (lambda share: None)
     found: Estimation = run(estimator, table, log.vehicle.effectiveness(), log.dynamics, tuning, tell)
-    return Estimated(
-        table, found.out, default=False, series=found.series, assumptions=found.notes, own_limit=found.limit
-    )
+    return Estimated(table, found.out, default=False, series=found.series, assumptions=found.notes, own_limit=found.limit)
 
 
 def _conclude(log: LogCase, done: Estimated, last: Judgement, title: str, clock: _Clock) -> Diagnosis:
@@ -257,13 +245,8 @@ def _conclude(log: LogCase, done: Estimated, last: Judgement, title: str, clock:
     judged = (table.mode == JUDGE) & table.valid.any(axis=1)
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not doubts and log.hovers else {}
     hyp = list_hypotheses(B.shape[1])
-    trace = traces.compose(
-        flight, out, table, hyp, B, air, log.ready_s, done.limit, end.events, last.evidence, end.rotors
-    )
-    said = log._replace(
-        assumptions=(*log.assumptions, *done.assumptions, *last.assumptions),
-        warnings=(*log.warnings, *last.warnings),
-    )
+    trace = traces.compose(flight, out, table, hyp, B, air, log.ready_s, done.limit, end.events, last.evidence, end.rotors)
+    said = log._replace(assumptions=(*log.assumptions, *done.assumptions, *last.assumptions), warnings=(*log.warnings, *last.warnings))
     return _answer(
         end,
         said,

@@ -167,9 +167,7 @@ class _Judge:
                     size, sha256 = logs.fingerprint(here)
                     if before == Known(size, sha256):
                         return Answer(0, path, size=size, sha256=sha256, unchanged=True)
-                found = timed(
-                    partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning, self.matters
-                )
+                found = timed(partial(logs.read, here), self.vehicle, self.healthy, self.estimator, self.tuning, self.matters)
         except RotorwatchError as why:
             if gathering.is_address(path) and here is not None:
                 why = type(why)(str(why).replace(str(here), path))  # nobody knows the copy's name
@@ -209,13 +207,7 @@ def timed(
     began = time.perf_counter()
     flight = reading()
     read_s = time.perf_counter() - began
-    how: dict[str, Any] = {
-        "vehicle": vehicle,
-        "baseline": baseline,
-        "estimator": estimator,
-        "tuning": tuning,
-        "matters": matters,
-    }
+    how: dict[str, Any] = {"vehicle": vehicle, "baseline": baseline, "estimator": estimator, "tuning": tuning, "matters": matters}
     found = diagnose(flight, progress=progress, **how)
     timing = {**found.timing, "read_s": read_s, "total_s": found.timing.get("total_s", 0.0) + read_s}
     return replace(found, timing=timing)

@@ -97,9 +97,7 @@ class Gathered:
                 yield from self._recognised(path)
 
     def _recognised(self, path: Path) -> Iterator[Path]:
-        ordinary = (
-            path.is_file() or path.is_dir() or not path.exists()
-        )  # no pipe, socket or device: to open one may wait for ever
+        ordinary = path.is_file() or path.is_dir() or not path.exists()  # no pipe, socket or device: to open one may wait for ever
         if ordinary and is_meant(path):
             yield from self._flights(path)
         else:

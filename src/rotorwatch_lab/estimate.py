@@ -78,11 +78,7 @@ class Estimates:
         if true is None:
             return None
         seen = series.status == 0
-        return (
-            np.mean((series.lower <= true) & (true <= series.upper), axis=0, where=seen[:, None])
-            if seen.any()
-            else None
-        )
+        return np.mean((series.lower <= true) & (true <= series.upper), axis=0, where=seen[:, None]) if seen.any() else None
 
     def notes(self) -> dict[str, str]:
         """What the figures rest on, a sentence each -> the methods it is said of."""
@@ -147,10 +143,7 @@ class Estimates:
         elif kind in PICTURES:
             self.figure(path)
         elif kind == ".parquet":
-            pa, _ = (
-                optional.library("pyarrow", "A .parquet file"),
-                optional.library("pyarrow.parquet", "A .parquet file"),
-            )
+            pa, _ = (optional.library("pyarrow", "A .parquet file"), optional.library("pyarrow.parquet", "A .parquet file"))
             with files.replacing(path) as unfinished:
                 pa.parquet.write_table(pa.table(self.columns()), unfinished)
         elif kind == ".json":
@@ -198,27 +191,19 @@ def read_truth(path: str | PathLike, log: str) -> Truth:
             columns = {n: np.array([float(row[n]) for row in rows]) for n in names if n.startswith(("loss_", "bias_"))}
             return {name: (time, values) for name, values in columns.items()}
         if not {"path", "faulty_rotors", "thrust_loss", "start_s"} <= set(names):
-            raise ConfigError(
-                f"{path} needs the columns time_s and loss_1 .., or path, faulty_rotors, thrust_loss and start_s."
-            )
+            raise ConfigError(f"{path} needs the columns time_s and loss_1 .., or path, faulty_rotors, thrust_loss and start_s.")
         row = next((row for row in rows if _stem(row["path"] or "") == _stem(log)), None)
         if row is None:
             raise ConfigError(f"{path} has no line for {log}; its column path holds names of logs.")
         if row["thrust_loss"] == "?":
             raise ConfigError(f"{path} does not know the loss in {log}.")
-        faults = row.get("faults") or ":".join(
-            (row["faulty_rotors"], row["thrust_loss"], row["start_s"], row.get("end_s") or "inf")
-        )
+        faults = row.get("faults") or ":".join((row["faulty_rotors"], row["thrust_loss"], row["start_s"], row.get("end_s") or "inf"))
         found = [part.split(":") for part in faults.split(";") if row["faulty_rotors"]]
-        return steps(
-            (f"loss_{int(r)}", float(loss), float(a), float(b)) for who, loss, a, b in found for r in who.split("+")
-        )
+        return steps((f"loss_{int(r)}", float(loss), float(a), float(b)) for who, loss, a, b in found for r in who.split("+"))
     except OSError as why:
         raise ConfigError(f"Cannot read the truth {path}: {why.strerror or why}.") from None
     except (ValueError, TypeError, csv.Error):
-        raise ConfigError(
-            f"The truth {path} holds something that is no number, or no table of commas and lines."
-        ) from None
+        raise ConfigError(f"The truth {path} holds something that is no number, or no table of commas and lines.") from None
 
 
 def estimate(
@@ -248,16 +233,12 @@ def estimate(
     tell = progress or (lambda share, text="": None)
     names = list(method) if isinstance(method, (list, tuple)) else [method]
     if not names:
-        raise ConfigError(
-            f"Name a method; known are {', '.join(name for name in discovery.estimators() if name != 'default')}."
-        )
+        raise ConfigError(f"Name a method; known are {', '.join(name for name in discovery.estimators() if name != 'default')}.")
     for name in names:
         discovery.estimator(name)
     titles = [discovery.title(name) for name in names]
     if "default" in titles:
-        raise ConfigError(
-            "The default method's own estimate is the answer of `rotorwatch diagnose`; name a published one."
-        )
+        raise ConfigError("The default method's own estimate is the answer of `rotorwatch diagnose`; name a published one.")
     if twice := next((t for k, t in enumerate(titles) if t in titles[:k]), None):
         raise ConfigError(f"The method {twice} is named twice; name each once.")
     if tuning is not None and len(names) > 1:
@@ -277,9 +258,7 @@ def estimate(
         truth = read_truth(truth, flight.name)
     actuators: dict[str, Any] = {}
     plants = (
-        _helicopter(flight, airframe, lag_s, actuators)
-        if airframe is not None
-        else _multirotor(flight, vehicle, baseline, plant, tuning)
+        _helicopter(flight, airframe, lag_s, actuators) if airframe is not None else _multirotor(flight, vehicle, baseline, plant, tuning)
     )
     found, failed = [], {}
     for k, (name, title) in enumerate(zip(names, titles)):

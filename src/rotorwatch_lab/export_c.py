@@ -165,9 +165,7 @@ int main(void)
 def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = None) -> Any:
     """The published method of that name on the plant of a vehicle: see `export_c`."""
     if name == "default-filter":
-        raise ConfigError(
-            "default-filter is gone: give ekf with --vehicle, the filter alone, or default, which is all of it."
-        )
+        raise ConfigError("default-filter is gone: give ekf with --vehicle, the filter alone, or default, which is all of it.")
     if name not in (known := discovery.estimators()):
         raise ConfigError(f"There is no estimator called {name!r}{meant(name, known)}; known are {', '.join(known)}.")
     if isinstance(vehicle, str):
@@ -193,9 +191,7 @@ def prepare(name: str, vehicle: Vehicle | str | None = None, dt: float | None = 
 
 def _learned(vehicle: Vehicle) -> dict:
     """Geometry, and the dynamics learned from healthy flights, or default ones."""
-    return default_program.parameters(
-        vehicle.effectiveness(), export_default.LOG_DT, (vehicle.identified or {}).get("dynamics")
-    )
+    return default_program.parameters(vehicle.effectiveness(), export_default.LOG_DT, (vehicle.identified or {}).get("dynamics"))
 
 
 def program_of(method: Any, identifier: str, variable_dt: bool = False) -> Program:
@@ -247,9 +243,7 @@ def _example(program: Program, method: Any) -> str:
     rows = []
     for f in program.inputs:
         if f.shape:
-            numbers = ", ".join(
-                ("true" if v else "false") if f.kind == "b" else f"(rw_real){float(v)!r}" for v in values[f.name]
-            )
+            numbers = ", ".join(("true" if v else "false") if f.kind == "b" else f"(rw_real){float(v)!r}" for v in values[f.name])
             rows.append(f"    static const {f.declared} = {{{numbers}}};")
     call = ["&state", "u", "y", "valid", *([f"(rw_real){method.dt!r}"] if has_dt else []), "&out", "&work"]
     return f"""/* A thousand steps of {name} on measurements that do not change. */

@@ -35,9 +35,7 @@ def score(store: Store, folder: str | Path) -> dict[str, Any]:
         story = Story(**{k: v for k, v in t.items() if k != "loss"})
         standing = found.get(story.name)
         if standing is None:
-            raise ConfigError(
-                f"The store has no aircraft {story.name} of the truth; give the store that belongs to it."
-            )
+            raise ConfigError(f"The store has no aircraft {story.name} of the truth; give the store that belongs to it.")
         ever = story.rotor if story.size else -1
         weak = story.rotor if t["loss"] >= COUNTS else -1
         for r in standing["rotors"]:

@@ -120,9 +120,7 @@ def tints(found: Estimates) -> dict[str, tuple[str, str]]:
 def figure(found: Estimates, path: str | os.PathLike | None = None) -> Any:
     """The losses of every method as a matplotlib figure; written to `path` when given."""
     series: Sequence[MethodSeries] = found.series
-    picture = optional.library("matplotlib.figure", "A picture").Figure(
-        figsize=(9.0, 1.0 + 2.1 * len(series)), layout="constrained"
-    )
+    picture = optional.library("matplotlib.figure", "A picture").Figure(figsize=(9.0, 1.0 + 2.1 * len(series)), layout="constrained")
     axes = picture.subplots(len(series), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     looks = tints(found)
     for ax, s in zip(axes, series):
@@ -133,14 +131,7 @@ def figure(found: Estimates, path: str | os.PathLike | None = None) -> Any:
             ax.fill_between(s.time, low, high, color=tint, alpha=0.18, lw=0)
             ax.plot(s.time, middle, color=tint, ls=DASHES[dash], lw=1.2, label=label(name))
             if true is not None and (true[:, k] != 0.0).any():
-                ax.plot(
-                    s.time,
-                    100.0 * np.where(gaps, np.nan, true[:, k]),
-                    color="0.2",
-                    ls="--",
-                    lw=1.6,
-                    label=f"{label(name)}, truth",
-                )
+                ax.plot(s.time, 100.0 * np.where(gaps, np.nan, true[:, k]), color="0.2", ls="--", lw=1.6, label=f"{label(name)}, truth")
         ax.axhline(0.0, color="0.6", lw=0.6, zorder=0)
         ax.set_title(f"{s.title} ({s.says})", fontsize="small", loc="left")
         ax.set(ylabel=axis(s), ylim=limits(series, found.truth))

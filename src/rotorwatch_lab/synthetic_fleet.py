@@ -157,13 +157,7 @@ def _utc(when: datetime) -> str:
 
 
 def fly_fleet(
-    folder: str | Path,
-    aircraft: int,
-    flights: int,
-    seed: int = 0,
-    url: str = "",
-    logs: bool = False,
-    progress: Callable | None = None,
+    folder: str | Path, aircraft: int, flights: int, seed: int = 0, url: str = "", logs: bool = False, progress: Callable | None = None
 ) -> tuple[Path, int]:
     """Fly a fleet into a store (url, or FOLDER/fleet.db) and write FOLDER/truth.json; existing flights are not flown again. logs: write
     every flight as FOLDER/NAME.bin besides. Returns the truth's path and the number of flights added."""

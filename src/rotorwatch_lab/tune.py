@@ -145,12 +145,7 @@ def fit(
     return Fit(name, checks.plant_name(system), dt, tuning, -first, -float(best.fun), notes=tuple(notes))
 
 
-def tune(
-    logs: baselines.Given | Iterable[baselines.Given],
-    estimator: str,
-    rounds: int = ROUNDS,
-    progress: Callable | None = None,
-) -> Fit:
+def tune(logs: baselines.Given | Iterable[baselines.Given], estimator: str, rounds: int = ROUNDS, progress: Callable | None = None) -> Fit:
     """`fit` the named estimator to healthy logs of one build, and check it on data that was not fitted.
 
     logs: healthy flights of one build, or their files. estimator: the name of a published method. rounds: of the fit at most. progress:

@@ -60,12 +60,7 @@ class Command:
 
 def _run(*words: Any, env: Mapping[str, str], limit_s: float = 120.0) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*ROTORWATCH, *map(str, words)],
-        env=env,
-        capture_output=True,
-        text=True,
-        timeout=limit_s,
-        stdin=subprocess.DEVNULL,
+        [*ROTORWATCH, *map(str, words)], env=env, capture_output=True, text=True, timeout=limit_s, stdin=subprocess.DEVNULL
     )
 
 
@@ -141,9 +136,7 @@ def serve(folder: Path, env: Mapping[str, str]) -> Done:
 
 def _sent(address: str, log: Path) -> tuple[str, str] | None:
     """(name, verdict) of a log that was taken; None of one that was refused. Raises AssertionError for an answer without a sentence."""
-    asked = urllib.request.Request(
-        f"{address.rstrip('/')}/api/flights", data=log.read_bytes(), headers={"X-Rotorwatch-Name": log.name}
-    )
+    asked = urllib.request.Request(f"{address.rstrip('/')}/api/flights", data=log.read_bytes(), headers={"X-Rotorwatch-Name": log.name})
     try:
         with urllib.request.urlopen(asked, timeout=60.0) as answer:
             told = json.load(answer)
@@ -159,9 +152,7 @@ def _sent(address: str, log: Path) -> tuple[str, str] | None:
 def watch(folder: Path, env: Mapping[str, str]) -> Done:
     """`watch --record` of a vehicle for some seconds: what it says of it, whatever becomes of the record."""
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz").until(12.0)
-    parameters = {
-        k: v for k, v in flight.parameters.items() if k.startswith(("FRAME", "MOT_", "SERVO")) and len(k) <= 16
-    }
+    parameters = {k: v for k, v in flight.parameters.items() if k.startswith(("FRAME", "MOT_", "SERVO")) and len(k) <= 16}
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(20.0)
         vehicle = threading.Thread(target=_flies, args=(server, Autopilot(parameters), messages(flight)), daemon=True)

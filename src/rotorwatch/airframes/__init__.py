@@ -72,9 +72,7 @@ def named(name: str) -> Vehicle:
         if build is not None:
             return build()
     close = [n for n in names() if name.lower() in n] or [n for n in names() if n.endswith("-quad-x")]
-    raise VehicleError(
-        f"There is no airframe called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}."
-    )
+    raise VehicleError(f"There is no airframe called {name!r}{meant(name, names())}; close ones are {', '.join(close[:8])}.")
 
 
 def _all() -> Iterator[Any]:

@@ -80,14 +80,7 @@ def build(frame: str, curve: ThrustCurve, source: str = "airframe name", assumpt
         mixer[:2, 1] = 0.5  # AP_MotorsTri.cpp: as much as the rear motor
     if frame in CO_ROTATING:
         mixer[~below] *= 0.9
-    return Vehicle(
-        f"ardupilot-{frame}",
-        rotors,
-        curve,
-        mixer=mixer,
-        source=source,
-        assumptions=(*assumptions, *note_on_coaxial(rotors)),
-    )
+    return Vehicle(f"ardupilot-{frame}", rotors, curve, mixer=mixer, source=source, assumptions=(*assumptions, *note_on_coaxial(rotors)))
 
 
 def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
@@ -116,9 +109,7 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     known = "MOT_THST_EXPO" in p
     expo = float(np.clip(p.get("MOT_THST_EXPO", 0.65), 0.0, 1.0))
     if not known:
-        notes.append(
-            "The log has no MOT_THST_EXPO: ArduPilot's default 0.65 assumed, which affects the estimated size of a loss."
-        )
+        notes.append("The log has no MOT_THST_EXPO: ArduPilot's default 0.65 assumed, which affects the estimated size of a loss.")
     span = high - low
     return ThrustCurve(low + start * span, low + full * span, expo, known)
 
@@ -126,21 +117,17 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
 def _frame(number: int, kind: int) -> str:
     if number in UNSUPPORTED:
         raise VehicleError(
-            f"FRAME_CLASS {number} is {UNSUPPORTED[number]}, which is not supported: "
-            "only multirotors with fixed rotors are."
+            f"FRAME_CLASS {number} is {UNSUPPORTED[number]}, which is not supported: only multirotors with fixed rotors are."
         )
     name = CLASSES.get(number)
     if name is None:
-        raise VehicleError(
-            f"FRAME_CLASS {number} is not a multirotor frame; describe the airframe with --vehicle FILE."
-        )
+        raise VehicleError(f"FRAME_CLASS {number} is not a multirotor frame; describe the airframe with --vehicle FILE.")
     if name == "tri":
         return name
     frame = _of_type(name, kind)
     if frame not in FRAMES:
         raise VehicleError(
-            f"FRAME_CLASS {number} with FRAME_TYPE {kind} is not a frame of ArduPilot; "
-            "describe the airframe with --vehicle FILE."
+            f"FRAME_CLASS {number} with FRAME_TYPE {kind} is not a frame of ArduPilot; describe the airframe with --vehicle FILE."
         )
     return frame
 
@@ -162,18 +149,12 @@ def _old_frame(flight: Flight, notes: list[str]) -> str:
     else:
         classes = {4: ("quad",), 6: ("hexa", "y6"), 8: ("octa", "octaquad")}.get(flight.rotor_count, ("",))
         name, unique = _class_by_outputs(flight, classes, kind)
-        how = (
-            "the only one that matches the mixing of its outputs"
-            if unique
-            else f"its {flight.rotor_count} motor outputs"
-        )
+        how = "the only one that matches the mixing of its outputs" if unique else f"its {flight.rotor_count} motor outputs"
         notes.append(f"The log does not name its frame class: {name} taken from {how}.")
     if name == "tri":
         return name
     if name == "heli" or not name:
-        raise VehicleError(
-            "The firmware of this log flies a frame that is not supported: only multirotors with fixed rotors are."
-        )
+        raise VehicleError("The firmware of this log flies a frame that is not supported: only multirotors with fixed rotors are.")
     frame = _of_type(name, kind)
     if frame not in FRAMES:
         raise VehicleError(f"FRAME {kind} is not a {name} frame; describe the airframe with --vehicle FILE.")

@@ -72,13 +72,9 @@ def _seen(flight: Flight, count: int) -> tuple[str, bool, list[str]]:
             off[name] = float(np.sqrt(np.square(seen - factors).mean())), turned
     frame = min(off, key=lambda name: off[name][0])
     error, turned = off[frame]
-    notes = [
-        f"The frame {frame}{', motors reversed (props out),' if turned else ''} was identified from the mixing of the outputs."
-    ]
+    notes = [f"The frame {frame}{', motors reversed (props out),' if turned else ''} was identified from the mixing of the outputs."]
     if error > NEAR:
-        notes = [
-            f"The mixing of the outputs matches no known frame; {frame} is closest. Describe the vehicle with --vehicle FILE."
-        ]
+        notes = [f"The mixing of the outputs matches no known frame; {frame} is closest. Describe the vehicle with --vehicle FILE."]
     return frame, turned, notes
 
 
@@ -123,8 +119,4 @@ def _place(motor: tuple[float, ...]) -> tuple[float, float, float]:
 
 DEFAULT_CURVE = ThrustCurve(0.0455, 1.0, EXPO, known=False)  # DShot, idle at 4.5 %
 NAMES = {f"betaflight-{frame}": functools.partial(build, frame, DEFAULT_CURVE) for frame in FRAMES}
-NAMES |= {
-    f"betaflight-{frame}-reversed": functools.partial(build, frame, DEFAULT_CURVE, True)
-    for frame in FRAMES
-    if frame != "tri"
-}
+NAMES |= {f"betaflight-{frame}-reversed": functools.partial(build, frame, DEFAULT_CURVE, True) for frame in FRAMES if frame != "tri"}

@@ -28,10 +28,7 @@ def build(raw: bool = False) -> Vehicle:
     rotors = (Rotor(ARM, ARM, 1), Rotor(-ARM, ARM, -1), Rotor(-ARM, -ARM, 1), Rotor(ARM, -ARM, -1))
     if raw:
         note = "Thrust curve from Bitcraze's published measurement, not from this vehicle."
-        curve, extra = (
-            ThrustCurve(0.0, 1.0, 0.48, known=False),
-            {"full_voltage": FULL_VOLTAGE, "rests_at_minimum": True},
-        )
+        curve, extra = (ThrustCurve(0.0, 1.0, 0.48, known=False), {"full_voltage": FULL_VOLTAGE, "rests_at_minimum": True})
     else:
         note = "Motor commands taken as thrust demands: the firmware compensates for battery and thrust curve."
         curve, extra = ThrustCurve(0.0, 1.0, 0.0, known=False), {"rests_at_minimum": True}

@@ -58,9 +58,7 @@ def identify(flight: Flight) -> Vehicle | None:
         name, rotors = f"px4-{frame}", place(frame)
     tilts = len(rotors) == 3 and not any(r.spin for r in rotors)
     if tilts:
-        notes.append(
-            "A tricopter: a servo yaws it, so yaw is not assessed, and its outputs are not compared with the mixer."
-        )
+        notes.append("A tricopter: a servo yaws it, so yaw is not assessed, and its outputs are not compared with the mixer.")
     return Vehicle(
         *(name, rotors, curve(flight, notes)),
         mixer=None if tilts else mix(rotors),
@@ -167,9 +165,7 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
 
 def _named(frame: str) -> Vehicle:
     rotors = place(frame)
-    return Vehicle(
-        f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name"
-    )
+    return Vehicle(f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name")
 
 
 NAMES = {f"px4-{frame}": functools.partial(_named, frame) for frame in FRAMES}

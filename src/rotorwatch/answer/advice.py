@@ -80,8 +80,7 @@ def advise(
 def _came_of(report: Event, events: Sequence[Event]) -> bool:
     """True if an autopilot's report follows from a loss of control or a blow, and needs no investigation of its own."""
     return any(
-        e.onset_s <= report.onset_s and (e.kind == LOST or (e.kind == CONTACT and report.onset_s < e.onset_s + AFTER_S))
-        for e in events
+        e.onset_s <= report.onset_s and (e.kind == LOST or (e.kind == CONTACT and report.onset_s < e.onset_s + AFTER_S)) for e in events
     )
 
 

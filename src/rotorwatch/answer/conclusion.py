@@ -15,20 +15,7 @@ import numpy as np
 from rotorwatch.answer import advice, health, ledger, story
 from rotorwatch.answer.evidence import Evidence, together
 from rotorwatch.answer.ledger import main_event
-from rotorwatch.answer.wording import (
-    SCALE,
-    candidates,
-    grows,
-    headline,
-    interval,
-    listed,
-    percent,
-    rotors,
-    said,
-    seconds,
-    sentence,
-    up_to,
-)
+from rotorwatch.answer.wording import SCALE, candidates, grows, headline, interval, listed, percent, rotors, said, seconds, sentence, up_to
 from rotorwatch.engine.front.decisions import MENTIONED, TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine
 from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
@@ -73,9 +60,7 @@ class Conclusion(NamedTuple):
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
     """The answer to a flight. doubts: reasons why the log may not show the real flight; with any, nothing is concluded from its outputs."""
     if doubts:
-        seen = Evidence(
-            ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops
-        )
+        seen = Evidence(ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops)
         said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
     seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
@@ -156,9 +141,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
     scope = f"and none from {seen.start} on, compared with its healthy flights" if whole else f"after {seen.start}"
     if seen.bound is not None:
-        scope = (
-            f"and none more than {up_to(seen.bound)} from {seen.start} on, compared with healthy vehicles of any build"
-        )
+        scope = f"and none more than {up_to(seen.bound)} from {seen.start} on, compared with healthy vehicles of any build"
     slow = "".join(f"; but {rotors([k])} {grows(t)}" for k, t in seen.growing)
     unseen = f"a loss of up to {_bound(seen)} could have gone undetected"
     flown = seen.flown_s
@@ -212,9 +195,7 @@ def _cleared(seen: Evidence, lost: Event) -> str:
     when = min((t for t in lost.extra.get("worked_until_s", ()) if t is not None), default=None)
     until = "" if when is None else f" until {seconds(when)}"
     if lost.extra.get("cause") in NOT_A_ROTOR:
-        return (
-            f"Not a rotor fault: all {seen.n} followed their commands{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
-        )
+        return f"Not a rotor fault: all {seen.n} followed their commands{until}, when {NOT_A_ROTOR[lost.extra['cause']]}."
     if any(until is None for until in lost.extra.get("worked_until_s", ())) and not lost.rotors:
         return "No rotor fault was found, but the log does not show all of their commands."
     if lost.alternatives:
@@ -246,9 +227,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         before = [said(e.means.headline, e) for e in _notices_beside(seen, event)]
         return headline([*before, sentence(first), _cleared(seen, event)], len(before))
     if verdict == "inconclusive" and event is not None and event.means.accuses:
-        return _with_reports(
-            seen, event, [f"Something happened at {seconds(event.onset_s)} that any of the rotors could explain."]
-        )
+        return _with_reports(seen, event, [f"Something happened at {seconds(event.onset_s)} that any of the rotors could explain."])
     if verdict == "inconclusive":
         return _with_reports(seen, event, [_inconclusive(seen)])
     knocks = [seconds(e.onset_s) for e in seen.events if e.kind == CONTACT]
@@ -271,16 +250,12 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
         parts.append(_lopsided(seen))
         caveats.append(parts[-1])
     if knocks:  # after each the trim is learned again, with any damage included
-        when = (
-            f"the contact at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} contacts, the first at {knocks[0]},"
-        )
+        when = f"the contact at {knocks[0]}" if len(knocks) == 1 else f"{len(knocks)} contacts, the first at {knocks[0]},"
         parts.append(f"Damage from {when} was not assessed.")
     for rotor in sorted({r for e in seen.notices for r in e.rotors}):
         of_rotor = [e for e in seen.notices if rotor in e.rotors]
         notices = listed([said(e.means.headline, e) for e in of_rotor])
-        parts.append(
-            sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in of_rotor))}.")
-        )
+        parts.append(sentence(f"{rotors([rotor], seen.places)} {notices}, since {seconds(min(e.onset_s for e in of_rotor))}."))
     return _with_reports(seen, event, parts, caveats)
 
 
@@ -296,9 +271,7 @@ def _with_reports(seen: Evidence, main: Event | None, parts: Sequence[str], cave
 def _inconclusive(seen: Evidence) -> str:
     """Reason why a flight without a significant event shows too little."""
     if seen.missing and seen.hidden is not None:
-        return (
-            f"No rotor lost thrust until {seconds(seen.missing_s)}. After that nothing can be said: {_missing(seen)}."
-        )
+        return f"No rotor lost thrust until {seconds(seen.missing_s)}. After that nothing can be said: {_missing(seen)}."
     if seen.hidden is None:
         return _not_judged(_missing(seen) or seen.unjudged.why)
     if not seen.vague and seen.knocked_s is not None:
@@ -464,9 +437,7 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
     for s in seen.residual_evidence:
         if rotor in s.rotors and s.interval:
             lost = interval(*s.interval[s.rotors.index(rotor)])
-            suspicions.append(
-                (f"may have lost {lost} since {seconds(s.onset_s)}, or the wind changed then", s.most(rotor))
-            )
+            suspicions.append((f"may have lost {lost} since {seconds(s.onset_s)}, or the wind changed then", s.most(rotor)))
         elif rotor in s.rotors:
             span = f"from {seconds(s.onset_s)} to {seconds(s.end_s)}"
             suspicions.append((f"evidence against it {span} that no event explains", 1.0))

@@ -92,9 +92,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
     others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
     rotor_probability = sum(p for _, p in rotors)
-    accused = (judged.cause == "rotor" and bool(rotors)) or (
-        judged.cause == "unknown" and rotor_probability > 1.0 - SURE
-    )
+    accused = (judged.cause == "rotor" and bool(rotors)) or (judged.cause == "unknown" and rotor_probability > 1.0 - SURE)
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     # Announcements before the departure stay, unless the departure shows another rotor.
     stands = -np.inf if accused or judged.cause == ORDER else left.onset
@@ -129,13 +127,7 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
         result.append(_control_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), others, decided))
     else:
         result.append(
-            _control_lost(
-                judged,
-                n,
-                (),
-                tuple((e.rotors[0] + 1,) for e, _ in rotors) if judged.cause == "unknown" else (),
-                decided,
-            )
+            _control_lost(judged, n, (), tuple((e.rotors[0] + 1,) for e, _ in rotors) if judged.cause == "unknown" else (), decided)
         )
     return result
 
@@ -164,19 +156,7 @@ def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: J
 def _order(best: Explanation, p: float, others, decided: float) -> Event:
     if best.kind == "yaw":
         reason = "the vehicle yawed against its commands from the first movement on: propellers or motors turn in the wrong direction"
-        return Event(
-            ORDER,
-            (),
-            best.onset,
-            decided,
-            None,
-            (),
-            (),
-            p,
-            others,
-            reason,
-            {"live": False, "yaw_reversed": True},
-        )
+        return Event(ORDER, (), best.onset, decided, None, (), (), p, others, reason, {"live": False, "yaw_reversed": True})
     i, j = (r + 1 for r in best.rotors)
     reason = f"from the first movement on the vehicle turned as if the outputs of motors {i} and {j} were swapped"
     if others:

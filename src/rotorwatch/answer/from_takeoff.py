@@ -32,6 +32,4 @@ def claims(found: Mapping[str, Any] | None, source: Source, air: Spans) -> tuple
     others = tuple(rotors for rotors in shares if rotors and rotors != who) if found["verdict"] == "ambiguous" else ()
     size, interval = tuple(found["loss"][r - 1] for r in who), tuple(tuple(found["interval"][r - 1]) for r in who)
     span = air[0][0], air[-1][1], None
-    return (
-        Event(FROM_TAKEOFF, who, *span, size, interval, shares.get(who, 0.0), others, found["reason"], found, source),
-    )
+    return (Event(FROM_TAKEOFF, who, *span, size, interval, shares.get(who, 0.0), others, found["reason"], found, source),)

@@ -86,8 +86,7 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
     each = zip(_per_rotor(d, sd, columns, weak), weak, known, scatter)
     rests = T.mean(axis=0) < LEAST_THRUST
     return tuple(
-        None if row is None or rests[i] else _trend(row, minutes, span, w, float(k), float(s))
-        for i, (row, w, k, s) in enumerate(each)
+        None if row is None or rests[i] else _trend(row, minutes, span, w, float(k), float(s)) for i, (row, w, k, s) in enumerate(each)
     )
 
 

@@ -57,13 +57,7 @@ class Merged(NamedTuple):
     shared: tuple[Event, ...] = ()
 
 
-def merge(
-    claims: Sequence[Event],
-    report: Report,
-    upsets: Sequence[Judged],
-    n: int,
-    grown: Growth | None = None,
-) -> Merged:
+def merge(claims: Sequence[Event], report: Report, upsets: Sequence[Judged], n: int, grown: Growth | None = None) -> Merged:
     """The events of a flight of n rotors, in order of detection. claims: of any kind; report: its falls and contacts; upsets: its losses of
     control; grown: the growth by the trim of the whole flight."""
     losses = [c for c in claims if c.means.weakens and not explained(c, claims)]

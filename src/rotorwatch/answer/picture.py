@@ -28,11 +28,7 @@ HELD_S = 3.0  # of earlier commands, which are held where outputs are logged slo
 
 
 def compose(
-    flight: Flight,
-    vehicle: Vehicle,
-    events: Sequence[Event],
-    main: int | None,
-    hops: Sequence[tuple[float, float]] = (),
+    flight: Flight, vehicle: Vehicle, events: Sequence[Event], main: int | None, hops: Sequence[tuple[float, float]] = ()
 ) -> dict[str, Any] | None:
     """The plot's data, as in docs/json.md; None without a loss of control or a desync. hops: ((take-off, landing), ..) s."""
     lost = next((e for e in events if e.kind == LOST), None)
@@ -65,9 +61,7 @@ def _fall(lost: Event, events: Sequence[Event], main: int | None, hops: Sequence
     return start, end, [(what, t) for what, t in marks if t is not None and start <= t <= end], accused
 
 
-def _drawn(
-    flight: Flight, vehicle: Vehicle, start: float, end: float, marks: list[tuple[str, float]], accused: set[int]
-) -> dict[str, Any]:
+def _drawn(flight: Flight, vehicle: Vehicle, start: float, end: float, marks: list[tuple[str, float]], accused: set[int]) -> dict[str, Any]:
     around = {name: s.between(start - HELD_S, end + AFTER_S) for name, s in flight.signals.items()}
     part = replace(flight, signals=around)
     return {

@@ -24,9 +24,7 @@ def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
     names, events = ("detail", "source", "onset", "detected"), []
     for detail, source, *times in zip(*(rows[name][:count].tolist() for name in names)):
         new = detail in (GREW, STAYS)
-        events.append(
-            _event(grown, detail == GREW, losses[source] if source >= 0 else None, *times) if new else losses[source]
-        )
+        events.append(_event(grown, detail == GREW, losses[source] if source >= 0 else None, *times) if new else losses[source])
     return tuple(events)
 
 
@@ -34,8 +32,7 @@ def _event(grown: Growth, grew: bool, first: Event | None, onset: float, detecte
     """The event of a loss that grew, or lasts. first: the first one that it replaces."""
     (rotor,), (size,) = grown.rotors, grown.loss
     reason = (
-        f"the commanded torque gradually departed from the motion, along the direction of rotor {rotor} and by more than "
-        "wind or load drift"
+        f"the commanded torque gradually departed from the motion, along the direction of rotor {rotor} and by more than wind or load drift"
     )
     if first is not None and not grew:
         reason = f"{first.reason}; its apparent end did not change the trim"

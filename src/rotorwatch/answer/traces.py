@@ -27,9 +27,7 @@ def compose(
     judging = table.mode == JUDGE
     sd = events.sd_of(out.theta, out.theta_sd, B)
     spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where(judging[:, None], out.detectable, 0.0))
-    evidence = {
-        name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")
-    }
+    evidence = {name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
     pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
     evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
@@ -107,11 +105,7 @@ def angles(flight: Flight, name: str, time: np.ndarray) -> np.ndarray | None:
 
 def rates(flight: Flight) -> tuple[Signal | None, Signal | None]:
     """(actual, commanded) rates [rad/s] of a vehicle that is flown by rates; None, None where its attitude is commanded."""
-    if (
-        not flight.has("rates_wanted")
-        or flight.has("attitude_wanted")
-        or not (flight.has("rates") or flight.has("gyro"))
-    ):
+    if not flight.has("rates_wanted") or flight.has("attitude_wanted") or not (flight.has("rates") or flight.has("gyro")):
         return None, None
     return flight["rates" if flight.has("rates") else "gyro"], flight["rates_wanted"]
 

@@ -52,9 +52,7 @@ def growth(state: Rows) -> Growth | None:
 
 def mounts(state: Rows) -> tuple[Event, ...]:
     """The claim that a mount turned, if any."""
-    onset, detected, odds, yaw, half = (
-        float(state.part("mount")[name][0]) for name in ("onset", "detected", "odds", "yaw", "half")
-    )
+    onset, detected, odds, yaw, half = (float(state.part("mount")[name][0]) for name in ("onset", "detected", "odds", "yaw", "half"))
     if odds < CLEAR:
         return ()
     side = "right" if yaw > 0.0 else "left"

@@ -74,11 +74,7 @@ def find(
     """The reason why only judged_s s of a flight were judged, or a significant loss could have remained undetected. needed_s: of continuous
     flight, for enough_s judged; hovers: it is judged by the balance of hover, not by its angular motion; steps: steps of its trim mask a
     loss."""
-    return (
-        _shown_little(table, judged_s, hovers, steps)
-        if judged_s >= enough_s
-        else _too_little(air, table, needed_s, hovers)
-    )
+    return _shown_little(table, judged_s, hovers, steps) if judged_s >= enough_s else _too_little(air, table, needed_s, hovers)
 
 
 def patchy(air: Spans, table: Ticks, hovers: bool) -> Unjudged:

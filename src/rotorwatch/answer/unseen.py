@@ -72,9 +72,7 @@ def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
 
 def usable(table: Ticks) -> np.ndarray:
     """(T,) bool: the ticks whose biases count. Rotors that do not carry the vehicle show no deficit; those of a tricopter make no yaw."""
-    return (
-        (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & (table.thrust.mean(axis=1) > CARRIES)
-    )
+    return (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & (table.thrust.mean(axis=1) > CARRIES)
 
 
 class Rows(NamedTuple):
@@ -130,15 +128,7 @@ class Unseen:
         self._pushes += table.time[starts].tolist()
         self._pushed, self._rested = bool(out.pushed[-1]), float(since[-1])
         # A lateral force turns the vehicle as well; a contact may leave another trim.
-        arrays = (
-            usable(table) & ~out.pushed,
-            table.restart | leans,
-            table.time,
-            table.thrust,
-            out.biases,
-            out.log_odds,
-            out.onset,
-        )
+        arrays = (usable(table) & ~out.pushed, table.restart | leans, table.time, table.thrust, out.biases, out.log_odds, out.onset)
         self._new.append(arrays)
         if len(self._new) > TOGETHER:
             self._join()

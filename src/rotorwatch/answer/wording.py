@@ -13,9 +13,7 @@ from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
 
 CAUSES = {"propeller": "propeller", "motor_or_esc": "motor or ESC", "bearing": "bearing"}
-BASELINE = (
-    "To detect smaller damage present at take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
-)
+BASELINE = "To detect smaller damage present at take-off, give a healthy flight of the same build: --baseline HEALTHY.LOG."
 LONGEST, SAYS = 200, 40  # letters of a headline; of a sentence without its last clause, at least
 NAMED = 5  # gaps that warnings name
 VERDICTS = {
@@ -74,15 +72,9 @@ def not_commanded(gaps: Sequence[Gap], n: int) -> list[str]:
     """Sentences on the commands that the log of n rotors lacks in the air."""
     sentences = []
     for gap in gaps[:NAMED]:
-        what = (
-            "No motor outputs are logged"
-            if len(gap.rotors) == n
-            else f"The log has no command for {rotors(gap.rotors)}"
-        )
+        what = "No motor outputs are logged" if len(gap.rotors) == n else f"The log has no command for {rotors(gap.rotors)}"
         if gap.lasts:
-            sentences.append(
-                f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be assessed after that."
-            )
+            sentences.append(f"{what} from {gap.start:.1f} s to the end of the flight: nothing can be assessed after that.")
         elif gap.first:
             sentences.append(
                 f"{what} from lift-off at {gap.start:.1f} s to {gap.end:.1f} s: the flight is assessed from then on, and earlier "
@@ -106,12 +98,8 @@ def together(outputs: Sequence[Event]) -> list[tuple[str, bool]]:
     sentences = []
     for (start, end), who in spans.items():
         until = "to the end" if end is None else f"to {end:.1f} s"
-        what = (
-            f"the outputs of {rotors(sorted(who))} depart from the mixer at the same sample, from {start:.1f} s {until}"
-        )
-        sentences.append(
-            (f"{sentence(what)}: the log is wrong there and is not evidence of a rotor fault.", end is None)
-        )
+        what = f"the outputs of {rotors(sorted(who))} depart from the mixer at the same sample, from {start:.1f} s {until}"
+        sentences.append((f"{sentence(what)}: the log is wrong there and is not evidence of a rotor fault.", end is None))
     return sentences
 
 

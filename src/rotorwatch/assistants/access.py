@@ -16,9 +16,7 @@ from rotorwatch.serve import security
 def checked(host: str, token: str) -> str:
     """The token, if it is sufficient and the address is this computer's own. Raises ConfigError."""
     if not security.loopback(host):
-        raise ConfigError(
-            f"--host {host}: other computers can reach this address; give a loopback address such as 127.0.0.1."
-        )
+        raise ConfigError(f"--host {host}: other computers can reach this address; give a loopback address such as 127.0.0.1.")
     if not token:
         raise ConfigError(
             "Over HTTP a token is required: set the environment variable ROTORWATCH_TOKEN, such as the output of `openssl rand -hex 16`."

@@ -149,9 +149,7 @@ def survival(found: Any, name: str, verdicts: Sequence[str]) -> dict[str, Any]:
     groups: dict[tuple, list[list[int]]] = {}
     for case in found.cases:
         wind = None if case.wind is None else round(case.wind)
-        groups.setdefault((len(case.rotors), case.loss, case.verdict, round(case.lift, 2), wind), []).append(
-            list(case.rotors)
-        )
+        groups.setdefault((len(case.rotors), case.loss, case.verdict, round(case.lift, 2), wind), []).append(list(case.rotors))
     order = sorted(groups, key=lambda g: (g[0], g[1], verdicts.index(g[2]), -g[3]))
     rows = [{"rotors": groups[g], "loss": g[1], "then": g[2], "lift": g[3], "wind": g[4]} for g in order[:MOST_CASES]]
     left = len(order) - len(rows)

@@ -36,9 +36,7 @@ class Desk:
         self._judging.stop()
         self._planning.stop()
 
-    def ask(
-        self, verb: str, log: str | None = None, baseline: Sequence[str] = (), vehicle: str | None = None, **more: Any
-    ) -> Any:
+    def ask(self, verb: str, log: str | None = None, baseline: Sequence[str] = (), vehicle: str | None = None, **more: Any) -> Any:
         """The process's answer (`work.answer`). log, baseline, vehicle: as the user names them. Raises ConfigError, WorkerError."""
         if len(baseline) > MOST_HEALTHY:
             raise ConfigError(f"baseline: give at most {MOST_HEALTHY} flights.")
@@ -58,9 +56,7 @@ class Desk:
         if given.lower().endswith(".toml"):
             return self.folders.vehicle(given)
         near = difflib.get_close_matches(given[:60].lower(), names, 4, 0.4) or ["ardupilot-quad-x", "px4-quad-x"]
-        raise ConfigError(
-            f"vehicle: give the name of an airframe, such as {', '.join(near)}, or a vehicle file (.toml)."
-        )
+        raise ConfigError(f"vehicle: give the name of an airframe, such as {', '.join(near)}, or a vehicle file (.toml).")
 
     def _answered(self, workers: Workers, question: Question) -> Any:
         if not self._places.acquire(blocking=False):
@@ -88,9 +84,7 @@ class Desk:
         for name, root, path, about in logs[: min(limit, MOST_LISTED)]:
             listed = path if several else path.relative_to(root)
             when = datetime.fromtimestamp(about.st_mtime, timezone.utc)
-            rows.append(
-                {"id": name, "path": quoted(listed), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"}
-            )
+            rows.append({"id": name, "path": quoted(listed), "bytes": about.st_size, "changed_utc": f"{when:%Y-%m-%dT%H:%MZ}"})
         left = len(logs) - len(rows)
         note = f"{left} more logs; search for words of their paths, or raise the limit." if left else None
         return {"total": len(logs), "logs": rows, "note": note}

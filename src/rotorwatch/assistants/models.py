@@ -93,9 +93,7 @@ class Compared(Diagnosis):
     """The same, with damage that was there from take-off, against healthy flights of the same build."""
 
     healthy_flights: list[Quoted] = []
-    whole_flight: dict[str, Any] | None = Field(
-        None, description="the comparison with the healthy flights (docs/json.md)"
-    )
+    whole_flight: dict[str, Any] | None = Field(None, description="the comparison with the healthy flights (docs/json.md)")
 
 
 class Event(AnyAnswer):
@@ -128,9 +126,7 @@ class Series(AnyAnswer):
     unit: str
     columns: list[str]
     rows: list[list[float | None]]
-    samples: int = Field(
-        description="samples in this span of the flight; rows keep the minimum and maximum of each interval"
-    )
+    samples: int = Field(description="samples in this span of the flight; rows keep the minimum and maximum of each interval")
     start_s: float
     end_s: float
 
@@ -260,9 +256,7 @@ class Aircraft(BaseModel):
     flights: int
     airborne_h: float
     last_utc: str | None
-    state: str = Field(
-        description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights"
-    )
+    state: str = Field(description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights")
     last_verdict: str | None = Field(description="of the last flight")
     verdicts: dict[str, int] = Field(description="number of flights by verdict")
     new: dict[str, int] = Field({}, description="the same for flights added since the last `rotorwatch fleet list`")

@@ -27,9 +27,7 @@ AXES = figures.ANGLES
 Table = tuple[np.ndarray, list[str], np.ndarray]  # time (T,), names (k), values (T, k)
 
 
-def sampled(
-    diagnosis: Diagnosis, what: str, rotor: int | None, start_s: float | None, end_s: float | None, most: int
-) -> dict[str, Any]:
+def sampled(diagnosis: Diagnosis, what: str, rotor: int | None, start_s: float | None, end_s: float | None, most: int) -> dict[str, Any]:
     """Rows of [time, values] from start_s to end_s, at most `most` of them (one of WHOLE over the flight, one of MOMENT around a loss of
     control). rotor: of losses only this one, with its 95 % interval. Raises ConfigError for a missing series."""
     time, names, values = _moment(diagnosis, what) if what in MOMENT else _whole(diagnosis, what, rotor)
@@ -101,8 +99,4 @@ def _moment(diagnosis: Diagnosis, what: str) -> Table:
         named = {f"rotor {k}": values for k, values in enumerate(lists, 1)}
     else:
         named = {k.rpartition("_")[0].replace("_", " "): v for k, v in part.items() if k != "time_s" and v is not None}
-    return (
-        np.asarray(part["time_s"], float),
-        list(named),
-        np.stack([np.asarray(v, float) for v in named.values()], axis=1),
-    )
+    return (np.asarray(part["time_s"], float), list(named), np.stack([np.asarray(v, float) for v in named.values()], axis=1))

@@ -108,11 +108,7 @@ def _on_port(server: Any, host: str, port: int, token: str, ready: Callable[[str
         name = f"[{host}]" if ":" in host else host
         address = f"http://{name}:{listening.getsockname()[1]}{PATH}"
         app = server.streamable_http_app(
-            streamable_http_path=PATH,
-            json_response=True,
-            stateless_http=True,
-            max_request_body_size=LARGEST_REQUEST,
-            host=host,
+            streamable_http_path=PATH, json_response=True, stateless_http=True, max_request_body_size=LARGEST_REQUEST, host=host
         )
         serving = http_server(access.Access(app, checked_token), lambda: ready(address) if ready else None)
         asyncio.run(serving.serve([listening]))

@@ -54,9 +54,7 @@ class Fleet:
         with self._open() as store:
             row = store.flight(flight.lower())
         if row is None:
-            raise ConfigError(
-                "flight: the store holds no flight, or several, with such a hash; `fleet_flights` lists them."
-            )
+            raise ConfigError("flight: the store holds no flight, or several, with such a hash; `fleet_flights` lists them.")
         return Diagnosis.from_dict(row["diagnosis"]), row["name"]
 
     @staticmethod
@@ -70,11 +68,7 @@ class Fleet:
 
 
 def _left(count: int, what: str) -> str | None:
-    return (
-        f"{count} more {what}; search for words, or give a larger limit (at most {MOST}) or an offset."
-        if count > 0
-        else None
-    )
+    return f"{count} more {what}; search for words, or give a larger limit (at most {MOST}) or an offset." if count > 0 else None
 
 
 def _text(a: Mapping) -> str:

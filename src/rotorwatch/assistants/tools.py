@@ -29,17 +29,12 @@ M = TypeVar("M", bound=BaseModel)
 SORT = f"{', '.join(listing.ORDERS)}; with a leading - the largest, most severe or newest first"
 READS = ToolAnnotations(read_only_hint=True, destructive_hint=False, idempotent_hint=True, open_world_hint=False)
 Path = Annotated[str, Field(min_length=1, max_length=LONGEST)]
-Log = Annotated[
-    Path,
-    Field(description="path of a log in an allowed folder (FILE#2: its second flight), or the id that list_logs shows"),
-]
+Log = Annotated[Path, Field(description="path of a log in an allowed folder (FILE#2: its second flight), or the id that list_logs shows")]
 Vehicle = Annotated[Path | None, Field(description="vehicle file (.toml), for logs that do not name their frame")]
 Baseline = Annotated[list[Path] | None, Field(max_length=MOST_HEALTHY, description="healthy flights of the same build")]
 Number = Annotated[int | None, Field(ge=0, le=10_000, description="number of the event; default: the main one")]
 Words = Annotated[str, Field(max_length=200, description="words that must all match; empty: all")]
-Digest = Annotated[
-    str, Field(pattern="^[0-9a-fA-F]{6,64}$", description="hash of a flight in the store, or its first digits")
-]
+Digest = Annotated[str, Field(pattern="^[0-9a-fA-F]{6,64}$", description="hash of a flight in the store, or its first digits")]
 Seconds = Annotated[float | None, Field(ge=0.0, le=1e7, allow_inf_nan=False)]
 SERIES = Literal[
     "loss", "command", "residual", "evidence", "attitude", "rates",
@@ -129,9 +124,7 @@ def register(server: MCPServer, desk: Desk) -> None:
         return server.tool(title=title, annotations=READS)
 
     @tool("Which logs are there?")
-    def list_logs(
-        search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST_LISTED)] = 15
-    ) -> Annotated[CallToolResult, models.Logs]:
+    def list_logs(search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST_LISTED)] = 15) -> Annotated[CallToolResult, models.Logs]:
         """List the flight logs in the allowed folders, the newest first."""
         return answered(models.Logs, lambda: desk.list_logs(search, limit))
 
@@ -144,9 +137,7 @@ def register(server: MCPServer, desk: Desk) -> None:
     @tool("Was it damaged from take-off?")
     def compare_with_healthy(
         log: Log,
-        baseline: Annotated[
-            list[Path], Field(min_length=1, max_length=MOST_HEALTHY, description="healthy flights of the same build")
-        ],
+        baseline: Annotated[list[Path], Field(min_length=1, max_length=MOST_HEALTHY, description="healthy flights of the same build")],
         vehicle: Vehicle = None,
     ) -> Annotated[CallToolResult, models.Compared]:
         """Judge a flight against healthy flights of the same build: finds damage that was there from take-off. In sentences healthy-1 is
@@ -164,12 +155,9 @@ def register(server: MCPServer, desk: Desk) -> None:
     @tool("The numbers behind a picture")
     def get_series(
         log: Log,
-        what: Annotated[
-            SERIES, Field(description="moment_*: around a loss of control or a desync; others: the whole flight")
-        ] = "loss",
+        what: Annotated[SERIES, Field(description="moment_*: around a loss of control or a desync; others: the whole flight")] = "loss",
         rotor: Annotated[
-            int | None,
-            Field(ge=1, le=64, description="of loss and command: only this rotor; loss with its 95 % interval"),
+            int | None, Field(ge=1, le=64, description="of loss and command: only this rotor; loss with its 95 % interval")
         ] = None,
         start_s: Seconds = None,
         end_s: Seconds = None,
@@ -185,9 +173,7 @@ def register(server: MCPServer, desk: Desk) -> None:
     @tool("A picture of the flight")
     def picture(
         log: Log,
-        what: Annotated[
-            Literal["auto", "moment", "flight"], Field(description="moment: of a loss of control or desync")
-        ] = "auto",
+        what: Annotated[Literal["auto", "moment", "flight"], Field(description="moment: of a loss of control or desync")] = "auto",
         vehicle: Vehicle = None,
         baseline: Baseline = None,
     ) -> Annotated[CallToolResult, models.Picture]:
@@ -206,15 +192,11 @@ def register(server: MCPServer, desk: Desk) -> None:
 
     @tool("What does a vehicle survive?")
     def survive(
-        vehicle: Annotated[
-            Path, Field(description="name of an airframe, such as ardupilot-hexa-x, or a vehicle file (.toml)")
-        ],
+        vehicle: Annotated[Path, Field(description="name of an airframe, such as ardupilot-hexa-x, or a vehicle file (.toml)")],
         loss: Annotated[list[Annotated[float, Field(gt=0.0, le=1.0)]], Field(min_length=1, max_length=3)] = [1.0],  # noqa: B006
         mass_kg: Annotated[float | None, Field(gt=0.0, le=1e4, allow_inf_nan=False)] = None,
         thrust_to_weight: Annotated[float | None, Field(gt=1.0, le=50.0, allow_inf_nan=False)] = None,
-        arm_m: Annotated[
-            float | None, Field(gt=0.0, le=100.0, allow_inf_nan=False, description="centre to the outermost rotor")
-        ] = None,
+        arm_m: Annotated[float | None, Field(gt=0.0, le=100.0, allow_inf_nan=False, description="centre to the outermost rotor")] = None,
     ) -> Annotated[CallToolResult, models.Survival]:
         """Say what is left of a vehicle after the loss of any rotor and of any two: full control, hover without yaw, only spinning, or no
         hover. Takes up to a minute."""
@@ -222,18 +204,14 @@ def register(server: MCPServer, desk: Desk) -> None:
         return answered(models.Survival, lambda: desk.ask("survive", vehicle=vehicle, **more))
 
     @tool("What is the status of the fleet?")
-    def fleet(
-        search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 6
-    ) -> Annotated[CallToolResult, models.Fleet]:
+    def fleet(search: Words = "", limit: Annotated[int, Field(ge=1, le=MOST)] = 6) -> Annotated[CallToolResult, models.Fleet]:
         """List the aircraft of the fleet's store, those first that need attention: state, last verdict, what is new, weak rotors."""
         return answered(models.Fleet, lambda: desk.fleet.aircraft(search, limit))
 
     @tool("Search the flights of the fleet")
     def fleet_flights(
         search: Words = "",
-        aircraft: Annotated[
-            str | None, Field(min_length=1, max_length=200, description="only of this aircraft: its name or key")
-        ] = None,
+        aircraft: Annotated[str | None, Field(min_length=1, max_length=200, description="only of this aircraft: its name or key")] = None,
         verdict: Annotated[str, Field(max_length=60, description="one, or several with commas between")] = "",
         since: Annotated[str, Field(max_length=40, description="UTC, such as 2026-05-01 or 2026-05-01T14:30")] = "",
         until: Annotated[str, Field(max_length=40, description="that day or minute included")] = "",

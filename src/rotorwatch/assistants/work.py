@@ -56,9 +56,7 @@ def answer(question: Question) -> dict[str, Any] | Failed | tuple[dict[str, Any]
         return Failed(str(why))
     except (LogError, VehicleError, ConfigError) as why:
         blamed = getattr(why, BLAMED, "This vehicle" if question.log is None else "This log")
-        sentence = re.sub(
-            re.escape(tempfile.gettempdir() + os.sep) + r"[^/\\\s]+[/\\]", "", str(why)
-        )  # the link's folder
+        sentence = re.sub(re.escape(tempfile.gettempdir() + os.sep) + r"[^/\\\s]+[/\\]", "", str(why))  # the link's folder
         reader = quoted.quoted(sentence, 300)["quoted_from_log"]
         return Failed(f"{blamed} cannot be used; what its reader says is quoted.", reader)
 

@@ -51,9 +51,7 @@ def between(name: str, value: Any, low: float, high: float) -> Any:
 def one_of(name: str, value: Any, known: Iterable[Any]) -> Any:
     """value, unchanged, when it is one of the known ones."""
     if value not in (known := tuple(known)):
-        raise ConfigError(
-            f"{name} must be one of {', '.join(filter(None, known))}, not {value!r}{meant(value, known)}."
-        )
+        raise ConfigError(f"{name} must be one of {', '.join(filter(None, known))}, not {value!r}{meant(value, known)}.")
     return value
 
 

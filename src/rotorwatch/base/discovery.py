@@ -94,11 +94,7 @@ def estimator(spec: Any) -> Any:
         raise ConfigError(
             f"{kind.__name__} is no estimator, it has no {missing[0]}: give a name, or a class (or an instance) with name, init and step."
         )
-    return (
-        spec
-        if inspect.isclass(spec) or isinstance(spec, functools.partial)
-        else functools.partial(kind, **_keywords(spec))
-    )
+    return spec if inspect.isclass(spec) or isinstance(spec, functools.partial) else functools.partial(kind, **_keywords(spec))
 
 
 def title(spec: Any) -> str:
@@ -175,9 +171,7 @@ def _named(group: str, name: str) -> type:
         return load(theirs[name], parts)
     known = sorted({*found, *theirs})
     listed = f"There is no {kind} called {name!r}{meant(name, known)}; known are {', '.join(known)}"
-    if not any(
-        entry.dist is not None and entry.dist.name == OURS and _installed(entry) for entry in offered(group).values()
-    ):
+    if not any(entry.dist is not None and entry.dist.name == OURS and _installed(entry) for entry in offered(group).values()):
         listed += f"; published ones need rotorwatch_lab, which is not installed: pip install '{OURS}[research]'"
     raise ConfigError(f"{listed}.")
 
@@ -188,9 +182,7 @@ def _with_offered(group: str) -> dict[str, type]:
     for name, entry in _single(group).items():
         kind = GROUPS[group]
         if name in found:
-            sentence = (
-                f"The {kind} {name} of the package {package(entry)} is not used: rotorwatch has one of that name."
-            )
+            sentence = f"The {kind} {name} of the package {package(entry)} is not used: rotorwatch has one of that name."
             warnings.warn(sentence, PluginWarning, stacklevel=3)
             continue
         try:
@@ -344,9 +336,7 @@ def others(
         try:
             found = load(entry, parts)
             if why := refuse(found):
-                raise ConfigError(
-                    f"The {GROUPS[group]} {entry.name} of the package {package(entry)} is not used: {why}."
-                )
+                raise ConfigError(f"The {GROUPS[group]} {entry.name} of the package {package(entry)} is not used: {why}.")
         except ConfigError as why:
             warnings.warn(str(why), PluginWarning, stacklevel=3)
             continue
@@ -356,9 +346,7 @@ def others(
 def failed(entry: metadata.EntryPoint, what: str, why: BaseException) -> None:
     """Warn, by a PluginWarning, that a plug-in of another package raised. what: the part that failed."""
     kind = GROUPS.get(entry.group, "plug-in")
-    sentence = (
-        f"The {kind} {entry.name} of the package {package(entry)} is passed over: its {what} failed ({brief(why)})."
-    )
+    sentence = f"The {kind} {entry.name} of the package {package(entry)} is passed over: its {what} failed ({brief(why)})."
     warnings.warn(sentence, PluginWarning, stacklevel=3)
 
 

@@ -22,9 +22,7 @@ def no_address(path: str | os.PathLike) -> None:
     text = os.fspath(path)
     if isinstance(text, str) and ADDRESS.match(text) and not Path(text).exists():
         text = re.sub(":/+", "://", text, count=1)
-        raise ConfigError(
-            f"{text} is an address, not a file: download it first (for instance with curl -O), then give the file."
-        )
+        raise ConfigError(f"{text} is an address, not a file: download it first (for instance with curl -O), then give the file.")
 
 
 def toml(path: str | os.PathLike, what: str, most: int = 10_000_000) -> tuple[dict[str, Any], str]:

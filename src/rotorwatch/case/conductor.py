@@ -51,9 +51,7 @@ class Case:
         self._looks = 0
         self._tables: list[Ticks] = []  # of the last WINDOW_S
         self._recent: list[Ticks] = []  # after these, in small pieces
-        self._heard: dict[
-            str, tuple[float, tuple[Event, ...]]
-        ] = {}  # witness -> when it was asked last [s], its claims
+        self._heard: dict[str, tuple[float, tuple[Event, ...]]] = {}  # witness -> when it was asked last [s], its claims
         self._open()
 
     def _open(self) -> None:
@@ -177,11 +175,7 @@ class Case:
         view, since = None, self.now - WINDOW_S
         for one in witness.registered():
             looked_s, old = self._heard.get(one.name, (-np.inf, ()))
-            if (
-                one.stage is not Stage.CLAIMS
-                or one.due is None
-                or not (self.over or one.due(self.air, self.now, looked_s))
-            ):
+            if one.stage is not Stage.CLAIMS or one.due is None or not (self.over or one.due(self.air, self.now, looked_s)):
                 continue
             view = view or self._view()
             kept = tuple(e for e in old if e.onset_s < since)
@@ -211,11 +205,7 @@ class Case:
 
 
 def settled(
-    losses: Events,
-    others: Iterable[Event],
-    merge: Callable[[Events], Merged],
-    view: View | None,
-    on_link: bool = False,
+    losses: Events, others: Iterable[Event], merge: Callable[[Events], Merged], view: View | None, on_link: bool = False
 ) -> tuple[Merged, Events]:
     """Claims to events: the estimator's losses and other claims after all witnesses have been heard, merged; and the events after the
     witnesses that know them. view: None while the vehicle flies; on_link: the witnesses that are asked on the way have been."""

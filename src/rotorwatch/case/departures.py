@@ -57,9 +57,7 @@ class Departures:
         since = window.now - RECENT_S
         air = tuple((max(start, since), min(end, window.now)) for start, end in spans if end > since)
         flight = window.flight(since - 1.0, NAMES)
-        return bool(loss_of_control.find(flight, air)) or any(
-            loss_of_control.hit(flight, *hop) is not None for hop in air
-        )
+        return bool(loss_of_control.find(flight, air)) or any(loss_of_control.hit(flight, *hop) is not None for hop in air)
 
     def _judge(self, window: Window, spans: Spans, final: bool) -> None:
         """Look at the window again; losses of control whose samples are gone stay."""

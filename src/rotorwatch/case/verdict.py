@@ -152,9 +152,7 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     if view.consistent and log.hovers:
         found = witness.ask(Stage.SETUP, view, found)
     end, evidence = _concluded(log, done, view, found, steps, doubts)
-    return Judgement(
-        end, doubts, evidence, view.facts.get("whole_flight"), tuple(view.assumptions), tuple(view.warnings)
-    )
+    return Judgement(end, doubts, evidence, view.facts.get("whole_flight"), tuple(view.assumptions), tuple(view.warnings))
 
 
 def _concluded(

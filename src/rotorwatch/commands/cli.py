@@ -175,12 +175,7 @@ def cli() -> None:
 )  # fmt: skip
 @option("--report", "Write an HTML report; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
 @option("--html", "Write a report for each log and a page that lists them.", type=OUT, metavar="DIR")
-@option(
-    "--mcap",
-    "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.",
-    type=OUT,
-    metavar="OUT.mcap",
-)
+@option("--mcap", "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.", type=OUT, metavar="OUT.mcap")
 @option(
     "--markdown",
     "Write Markdown for a forum or an issue, and a picture beside it; without FILE.md, or for -, on standard output.",
@@ -225,9 +220,7 @@ def diagnose(context, **options) -> None:
         optional.library("bokeh", "--report" if pages else "--html")
     if recordings:
         optional.library("mcap", "--mcap")
-    request = request._replace(
-        logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=gathered.others
-    )
+    request = request._replace(logs=logs, pages=pages, recordings=recordings, posts=posts, document=document, others=gathered.others)
     if request.tuning:
         from rotorwatch.base import discovery
 
@@ -313,9 +306,7 @@ def report_paths(logs: Sequence[Any], out: Path | None, option: str = "--report"
     if "{name}" not in str(out) and (out.is_dir() or (several and not out.suffix)):
         out = out / f"{{name}}{ending}"
     if several and "{name}" not in str(out):
-        raise ConfigError(
-            f"{option} {out} names one file for {len(logs)} logs; give a folder, or a name with {{name}} in it."
-        )
+        raise ConfigError(f"{option} {out} names one file for {len(logs)} logs; give a folder, or a name with {{name}} in it.")
     pages: list[Path] = []
     for log in logs:
         name = log.name if isinstance(log, Path) else log.rstrip("/").rpartition("/")[2]

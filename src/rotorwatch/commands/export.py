@@ -19,23 +19,12 @@ from rotorwatch.errors import ConfigError
 @option("-o --out", "Folder to write into.", required=True, type=OUT, metavar="DIR")
 @option("--dt", "Length of a step.", type=click.FloatRange(0, min_open=True), metavar="S")
 @flag("--variable-dt", "Pass the step length as an argument.")
-@option(
-    "--rate-hz", "Diagnoser: rate of the motor outputs [50].", type=click.FloatRange(0, min_open=True), metavar="HZ"
-)
-@option(
-    "--control-hz", "Diagnoser: rate of the rate controller's output, if fed.", type=click.FloatRange(0), metavar="HZ"
-)
-@option(
-    "--sensor-hz",
-    "Diagnoser: rate of gyro and accelerometer [100].",
-    type=click.FloatRange(0, min_open=True),
-    metavar="HZ",
-)
+@option("--rate-hz", "Diagnoser: rate of the motor outputs [50].", type=click.FloatRange(0, min_open=True), metavar="HZ")
+@option("--control-hz", "Diagnoser: rate of the rate controller's output, if fed.", type=click.FloatRange(0), metavar="HZ")
+@option("--sensor-hz", "Diagnoser: rate of gyro and accelerometer [100].", type=click.FloatRange(0, min_open=True), metavar="HZ")
 @option("--prefix", "Diagnoser: prefix of its names [rw].", metavar="NAME")
 @common
-def export_c(
-    estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet
-) -> None:
+def export_c(estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet) -> None:
     """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, as C99 that needs nothing but libm
     (docs/export.md)."""
     from rotorwatch.base import discovery, files
@@ -75,6 +64,4 @@ def export_c(
         written = control.export_allocator(out, vehicle=craft or FRAME, by=by, method=method)
     click.echo("\n".join(str(path) for path in written.files))
     if not quiet:
-        say(
-            f"{written.name}: {written.state_bytes} bytes of state, {written.workspace_bytes} of workspace, definition {written.digest}"
-        )
+        say(f"{written.name}: {written.state_bytes} bytes of state, {written.workspace_bytes} of workspace, definition {written.digest}")

@@ -11,21 +11,7 @@ from typing import NoReturn
 import click
 
 from rotorwatch.commands.offered import Commands
-from rotorwatch.commands.tools import (
-    LOG,
-    OUT,
-    common,
-    flag,
-    label,
-    live,
-    option,
-    print_json,
-    progress,
-    say,
-    show,
-    spread,
-    vehicle_of,
-)
+from rotorwatch.commands.tools import LOG, OUT, common, flag, label, live, option, print_json, progress, say, show, spread, vehicle_of
 from rotorwatch.errors import ConfigError
 
 ADDED, FAILED = 0, 2
@@ -97,9 +83,7 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
         _say_refused([label(Path(t.path).name) for t in outcomes if t.state == "refused"])
         lost = sum(t.state == "added" and not t.aircraft for t in outcomes)
         if lost:
-            say(
-                f"{lost} of them name no aircraft and belong to no history: add such logs with --aircraft NAME to an empty store."
-            )
+            say(f"{lost} of them name no aircraft and belong to no history: add such logs with --aircraft NAME to an empty store.")
     if follow:
         if not quiet:
             say(f"watching {', '.join(map(str, folders))}; Ctrl-C stops it")
@@ -109,12 +93,8 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
 
 def _say_refused(names: list[str]) -> None:
     if names:
-        listed = ", ".join(names[:REFUSED_SHOWN]) + (
-            f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else ""
-        )
-        say(
-            f"{len(names)} could not be diagnosed before and, unchanged, were not retried: {listed}; give one by itself to see why."
-        )
+        listed = ", ".join(names[:REFUSED_SHOWN]) + (f" and {len(names) - REFUSED_SHOWN} more" if names[REFUSED_SHOWN:] else "")
+        say(f"{len(names)} could not be diagnosed before and, unchanged, were not retried: {listed}; give one by itself to see why.")
 
 
 def _print_outcome(outcome) -> None:
@@ -138,9 +118,7 @@ def show_(store, aircraft, as_json, quiet) -> None:
         print_json(found | {"points": store.points(key)})
         return
     assessment = found["standing"]
-    click.echo(
-        f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}"
-    )
+    click.echo(f"{found['name']}: {found['flights']} flights, {found['airborne_s'] / 3600:.1f} h in the air; {found['build']}")
     click.echo(f"known by: {'; '.join(found['identities'])}")
     if assessment is None:
         click.echo("Not assessed yet: run `rotorwatch fleet assess`.")
@@ -159,9 +137,7 @@ def show_(store, aircraft, as_json, quiet) -> None:
         what = f"rotor {s['rotor']}" if s["rotor"] else "the whole aircraft"
         click.echo(f"service before flight {s['before_flight']}: {what}, {s['what']}")
     many, sisters = len(assessment["left_out"]), assessment["sisters"]
-    compared = (
-        f"compared with {sisters} of the same build" if sisters else "no others of the same build to compare with"
-    )
+    compared = f"compared with {sisters} of the same build" if sisters else "no others of the same build to compare with"
     click.echo(f"\n{assessment['used']} of {assessment['flights']} flights were used; {compared}.")
     for one in assessment["left_out"][:5]:
         click.echo(f"  not used: {label(one['name'])}: {one['why']}")
@@ -203,11 +179,7 @@ def day(utc: str | None) -> str:
 @click.argument("aircraft")
 @click.argument("what")
 @option("--rotor", "Rotor number; default: all.", type=click.IntRange(1), metavar="N")
-@option(
-    "--at",
-    "Time in UTC: 2026-05-01 or 2026-05-01T14:30; default: after its last flight.",
-    metavar="TIME",
-)
+@option("--at", "Time in UTC: 2026-05-01 or 2026-05-01T14:30; default: after its last flight.", metavar="TIME")
 @option("--after", "After this flight (first digits of its hash), for logs without a time.", metavar="FLIGHT")
 @STORE
 @common
@@ -232,9 +204,7 @@ def service(store, aircraft, what, rotor, at, after, quiet) -> None:
 
 def unknown(hash: str) -> NoReturn:
     """Raises ConfigError for a hash without a flight."""
-    raise ConfigError(
-        f"{label(hash)}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`."
-    )
+    raise ConfigError(f"{label(hash)}: the store holds no flight, or several, with such a hash; `rotorwatch fleet list --flights`.")
 
 
 @fleet.command(short_help="Rename an aircraft.")
@@ -326,11 +296,7 @@ def export(store, out, quiet) -> None:
 
 
 def table(
-    title: str,
-    head: tuple[str, ...],
-    rows: list[tuple[str, ...]],
-    right: tuple[int, ...] = (),
-    wide: tuple[int, ...] = (-1,),
+    title: str, head: tuple[str, ...], rows: list[tuple[str, ...]], right: tuple[int, ...] = (), wide: tuple[int, ...] = (-1,)
 ) -> None:
     """A table that fits the terminal. right: columns of numbers; wide: columns that are wrapped."""
     from rich.text import Text

@@ -15,23 +15,13 @@ from rotorwatch.errors import ConfigError, StoreError
 @fleet.command("list", short_help="List aircraft, those that need attention first, or flights.")
 @flag("--flights", "List flights; implied by any option for flights.")
 @option("--search", "Flights: words in name, verdict, headline or aircraft.", "", metavar="WORDS")
-@option(
-    "--verdict",
-    "Flights: healthy, fault, crashed, ambiguous, inconclusive; several with commas.",
-    "",
-    metavar="VERDICT,...",
-)
+@option("--verdict", "Flights: healthy, fault, crashed, ambiguous, inconclusive; several with commas.", "", metavar="VERDICT,...")
 @option("--aircraft", "Flights: only of this aircraft.", metavar="NAME")
 @option("--since", "Flights: on this day or later, in UTC.", "", metavar="TIME")
 @option("--until", "Flights: on this day or earlier, in UTC.", "", metavar="TIME")
 @option("--min-loss", "Flights: worst loss at least this share, 0..1.", 0.0, metavar="X")
 @option("--min-duration", "Flights: minimum duration.", 0.0, metavar="S")
-@option(
-    "--sort",
-    "Flights: by date, verdict, loss, duration, aircraft or name; a leading - reverses the order.",
-    "-date",
-    metavar="ORDER",
-)
+@option("--sort", "Flights: by date, verdict, loss, duration, aircraft or name; a leading - reverses the order.", "-date", metavar="ORDER")
 @option("--limit", "Flights: maximum number.", 50, type=click.IntRange(1))
 @option("--offset", "Flights: number to skip.", 0, type=click.IntRange(0))
 @STORE
@@ -98,9 +88,7 @@ def compare(store, a, b, as_json, quiet) -> None:
     if as_json:
         print_json(comparison.to_dict())
         return
-    rows: list[tuple[str, ...]] = [
-        (_marked(row.what, row.differs), *row.values) for row in (*comparison.facts, *comparison.rotors)
-    ]
+    rows: list[tuple[str, ...]] = [(_marked(row.what, row.differs), *row.values) for row in (*comparison.facts, *comparison.rotors)]
     for k in range(max(map(len, comparison.events))):
         pair = [events[k] if k < len(events) else None for events in comparison.events]
         alone = any(event and event.alone for event in pair)
@@ -132,9 +120,7 @@ def delete(store, flights, yes, quiet) -> None:
         if not sys.stdin.isatty():
             raise ConfigError("Deleting cannot be undone: give --yes to delete without confirmation.")
         for row in rows.values():
-            say(
-                f"{row['hash'][:8]}  {row['aircraft_name'] or '(no aircraft)'}  {label(row['name'])}: {row['headline']}"
-            )
+            say(f"{row['hash'][:8]}  {row['aircraft_name'] or '(no aircraft)'}  {label(row['name'])}: {row['headline']}")
         what = "this flight" if len(rows) == 1 else f"these {len(rows)} flights"
         click.confirm(f"Delete {what} permanently?", abort=True, err=True)
     try:

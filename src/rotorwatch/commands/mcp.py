@@ -13,13 +13,7 @@ from rotorwatch.commands.tools import OUT, common, flag, option, say
 @flag("--http", "Serve on a local port instead of standard input and output.")
 @option("--host", "With --http: address to listen on, a loopback address.", "127.0.0.1", metavar="HOST")
 @option("--port", "With --http: port; 0: any.", 8765, type=click.IntRange(0, 65535))
-@option(
-    "--token",
-    "With --http: token that clients must send; better set in the environment.",
-    "",
-    envvar="ROTORWATCH_TOKEN",
-    metavar="T",
-)
+@option("--token", "With --http: token that clients must send; better set in the environment.", "", envvar="ROTORWATCH_TOKEN", metavar="T")
 @option("--max-size", "Maximum size of a log.", 512.0, metavar="MB")
 @option("--max-seconds", "Maximum time per request.", 120.0, metavar="S")
 @option("--max-memory", "Maximum memory per request.", 4000, metavar="MB")

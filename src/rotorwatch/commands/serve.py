@@ -11,13 +11,7 @@ from rotorwatch.commands.tools import RECORD, SPEED, WATCHED, common, flag, opti
 @click.argument("endpoints", nargs=-1, metavar="[ENDPOINT...]")
 @option("--host", "Address to listen on.", "127.0.0.1", metavar="HOST")
 @option("--port", "Port; 0: any.", 8000, type=click.IntRange(0, 65535))
-@option(
-    "--token",
-    "Token for the page; required for access from other computers.",
-    "",
-    envvar="ROTORWATCH_TOKEN",
-    metavar="T",
-)
+@option("--token", "Token for the page; required for access from other computers.", "", envvar="ROTORWATCH_TOKEN", metavar="T")
 @option("--store", "Fleet store (docs/fleet.md).", envvar="ROTORWATCH_STORE", metavar="URL|FILE")
 @option("--max-upload", "Maximum size of an upload.", 512.0, metavar="MB")
 @option("--max-seconds", "Maximum time to diagnose a log.", 120.0, metavar="S")

@@ -197,9 +197,7 @@ def _write_page(request: Request, answer: Any) -> str | None:
     if answer.page is None:
         return None
     name = _page(request, answer.path)
-    goals = ([request.html / name] if request.html and name else []) + (
-        [request.pages[answer.index]] if request.pages else []
-    )
+    goals = ([request.html / name] if request.html and name else []) + ([request.pages[answer.index]] if request.pages else [])
     for goal in goals:
         with files.replacing(goal) as unfinished:
             Path(unfinished).write_text(answer.page, encoding="utf-8")
@@ -273,13 +271,9 @@ def _there(request: Request, how: str) -> dict[str, _Line]:
                 path, code, size, sha256 = (line[key] for key in KEYS)
                 how_made = line["settings"]
             except (ValueError, TypeError, KeyError):
-                raise ConfigError(
-                    f"{out}: line {number} is not a diagnosis of rotorwatch; give another file."
-                ) from None
+                raise ConfigError(f"{out}: line {number} is not a diagnosis of rotorwatch; give another file.") from None
             if how_made != how:
-                raise ConfigError(
-                    f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file."
-                )
+                raise ConfigError(f"{out} was made by another version, or with another estimator, vehicle or baseline; give another file.")
             answer = {key: value for key, value in line.items() if key not in KEYS}
             shown = overview.row(label(path), answer, _page(request, path))
             there[path] = _Line(code, shown, None if sha256 is None else Known(size, sha256))

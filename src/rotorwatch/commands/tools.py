@@ -78,10 +78,7 @@ def _standard_input() -> Path:
 
 def _opened(path: Path) -> Any:
     """An open pipe. A named one without a writer would block for ever, hence the time limit."""
-    if path.parts[:2] in (
-        ("/", "dev"),
-        ("/", "proc"),
-    ):  # of the shell, whose other end is open: <(xz -dc flight.bin.xz)
+    if path.parts[:2] in (("/", "dev"), ("/", "proc")):  # of the shell, whose other end is open: <(xz -dc flight.bin.xz)
         return open(path, "rb")
     import select
 
@@ -160,9 +157,7 @@ def common(command: Callable) -> Callable:
 def spread(command: Callable) -> Callable:
     """Options of commands with many items: number of processes, or the cluster."""
     jobs = option("--jobs", "Processes; default: one per processor.", type=click.IntRange(1, 256))
-    scheduler = option(
-        "--scheduler", "Use the workers of this Dask scheduler (docs/cluster.md).", metavar="tcp://HOST:PORT"
-    )
+    scheduler = option("--scheduler", "Use the workers of this Dask scheduler (docs/cluster.md).", metavar="tcp://HOST:PORT")
     return jobs(scheduler(command))
 
 
@@ -184,9 +179,7 @@ def shares(option: str, text: str) -> tuple[float, ...]:
     """Losses separated by commas. Raises ConfigError unless each is above 0 and below 1."""
     losses = numbers(option, text)
     if not all(0 < x < 1 for x in losses):
-        raise ConfigError(
-            f"{option} {text}: a loss must be above 0 and below 1; no vehicle flies on unchanged with a dead rotor."
-        )
+        raise ConfigError(f"{option} {text}: a loss must be above 0 and below 1; no vehicle flies on unchanged with a dead rotor.")
     return losses
 
 

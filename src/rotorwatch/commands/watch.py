@@ -9,20 +9,7 @@ from typing import Any
 
 import click
 
-from rotorwatch.commands.tools import (
-    LOG,
-    RECORD,
-    SPEED,
-    WATCHED,
-    common,
-    flag,
-    label,
-    option,
-    progress,
-    rate,
-    say,
-    vehicle_of,
-)
+from rotorwatch.commands.tools import LOG, RECORD, SPEED, WATCHED, common, flag, label, option, progress, rate, say, vehicle_of
 from rotorwatch.errors import ConfigError
 
 FAULT, ERROR, NOTHING = 1, 2, 3
@@ -36,20 +23,12 @@ FAULT, ERROR, NOTHING = 1, 2, 3
 @flag("--listen-only", "Send nothing: request neither parameters nor rates.")
 @click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after this time.")
 @option("--patience", "Time to wait for the first vehicle on a link.", 30.0, type=float, metavar="S")
-@option(
-    "--webhook",
-    "POST every alert as JSON to this address.",
-    metavar="URL",
-    envvar="ROTORWATCH_WEBHOOK",
-    show_envvar=True,
-)
+@option("--webhook", "POST every alert as JSON to this address.", metavar="URL", envvar="ROTORWATCH_WEBHOOK", show_envvar=True)
 @option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
 @flag("--tell-ground", "Send results to the vehicles' ground stations as STATUSTEXT and NAMED_VALUE_FLOAT.")
 @flag("--jsonl", "Print alerts as JSON lines (docs/watch.md) instead of the display.")
 @common
-def watch(
-    endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet
-) -> None:
+def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet) -> None:
     """Diagnose vehicles in flight. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
     recorded log, which is replayed in real time.
 

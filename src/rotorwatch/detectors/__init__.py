@@ -24,9 +24,7 @@ def modules() -> tuple[Any, ...]:
     PluginWarning."""
     rules: list[Any] = [importlib.import_module(f"{__name__}.{info.name}") for info in pkgutil.iter_modules(__path__)]
     taken = {known.name for known in rules}
-    others = discovery.others(
-        "rotorwatch.detectors", PARTS, lambda rule: "its name is taken" if rule.name in taken else ""
-    )
+    others = discovery.others("rotorwatch.detectors", PARTS, lambda rule: "its name is taken" if rule.name in taken else "")
     rules += [rule for _, rule in others]
     return tuple(sorted(rules, key=lambda module: module.name))
 
@@ -38,7 +36,5 @@ def for_autopilot(autopilot: str) -> tuple[Any, ...]:
 
 def detect(flight: Flight, vehicle: Vehicle, airborne: tuple[tuple[float, float], ...]) -> tuple[dict[str, Any], ...]:
     """Findings of the flight's own autopilot checks, in time order. airborne: ((start, end), ...) in s."""
-    findings = [
-        finding for module in for_autopilot(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)
-    ]
+    findings = [finding for module in for_autopilot(flight.autopilot) for finding in module.detect(flight, vehicle, airborne)]
     return tuple(sorted(findings, key=lambda finding: (finding["time_s"], finding["detector"])))

@@ -64,9 +64,7 @@ def detect(flight: Flight, vehicle: Vehicle, airborne: allocation.Spans) -> tupl
     esc, low, high = flight["esc"], vehicle.curve.u_min, vehicle.curve.u_max
     rotors = [k for k in range(1, flight["motors"].values.shape[1] + 1) if f"current{k}" in esc.columns]
     airborne_rows = np.flatnonzero(allocation.within(esc.time, airborne))
-    airborne_rows = airborne_rows[
-        np.diff(np.floor(esc.time[airborne_rows] / STEP_S), prepend=-1.0) > 0
-    ]  # the check's own rate
+    airborne_rows = airborne_rows[np.diff(np.floor(esc.time[airborne_rows] / STEP_S), prepend=-1.0) > 0]  # the check's own rate
     if not rotors or not airborne_rows.size:
         return ()
     columns, time = [esc.columns.index(f"current{k}") for k in rotors], esc.time[airborne_rows]
@@ -102,9 +100,7 @@ def _rule(parameters: Mapping[str, float], command: np.ndarray, current: np.ndar
         over = parameter("MOTFAIL_OVER", parameter("MOTFAIL_OFF", parameter("MOTFAIL_HIGH_OFF", OFF))) or np.inf
         under = parameter("MOTFAIL_UNDER", parameter("MOTFAIL_OFF", parameter("MOTFAIL_LOW_OFF", OFF))) or over
         hold = parameter("MOTFAIL_TIME", HOLD_S)
-        model = np.array(
-            [parameter("MOTFAIL_QUAD", 0.0), parameter("MOTFAIL_C2T", C2T), parameter("MOTFAIL_IDLE", 0.0)], float
-        )
+        model = np.array([parameter("MOTFAIL_QUAD", 0.0), parameter("MOTFAIL_C2T", C2T), parameter("MOTFAIL_IDLE", 0.0)], float)
         sides = (under, parameter("MOTFAIL_UND_TIME", hold)), (over, parameter("MOTFAIL_OVR_TIME", hold))
         plain = {"MOTFAIL_LOW_OFF", "MOTFAIL_HIGH_OFF"} & parameters.keys()
         return _Rule(model, *sides, parameter("MOTFAIL_REL", 0.0), 0.0 if plain else TAU_S)

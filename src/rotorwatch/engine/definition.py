@@ -52,23 +52,7 @@ from rotorwatch.engine.trim import blocks, fit, many, stretch, told, trim, weigh
 from rotorwatch.engine.trim import sizes as trim_sizes
 from rotorwatch.flight import Flight, Message
 
-FRONT = (
-    decisions,
-    vehicle,
-    airborne,
-    mixer,
-    deviations,
-    contact,
-    sense,
-    ticks,
-    front,
-    events,
-    records,
-    losses,
-    changes,
-    words,
-    texts,
-)
+FRONT = (decisions, vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words, texts)
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
@@ -78,11 +62,7 @@ ENGINE = Definition(
     "engine",
     (*FRONT, *ESTIMATOR, *TRIM, engine, whole, estimator_whole, estimator_known, many, feed),
     SIZES,
-    [
-        *(file for room in ("front", "estimator", "trim") for file in files_in(f"engine/{room}")),
-        "engine/engine.py",
-        "engine/feed.py",
-    ],
+    [*(file for room in ("front", "estimator", "trim") for file in files_in(f"engine/{room}")), "engine/engine.py", "engine/feed.py"],
     vectors=True,
 )
 PIECE = 1 << 15  # samples

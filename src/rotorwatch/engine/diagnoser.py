@@ -191,8 +191,4 @@ class Diagnoser:
         made, out = self._room
         table = columns(made.cut(count), self.plan, len(self.vehicle.rotors), self.contacts).part(np.arange(count))
         self.contacts = table.contacts
-        return [
-            Judged(
-                replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors))
-            )
-        ]
+        return [Judged(replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors)))]

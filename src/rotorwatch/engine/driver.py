@@ -82,10 +82,7 @@ class Driver:
         self._mixing, self._planned_aloft = False, False
         self._fed: dict[str, float] = {}  # signal -> time of its last sample that was fed
         self._falls: dict[float, float] = {}  # start of a flight -> time of its impact
-        self._time, self._first = (
-            -np.inf,
-            -np.inf,
-        )  # of the last commands in a tick; of the first since the newer checkpoint
+        self._time, self._first = (-np.inf, -np.inf)  # of the last commands in a tick; of the first since the newer checkpoint
         self._reached = -np.inf  # time of the last sample that was fed
         self._marks: list[_Mark] = []  # two, the older first
         self._messages: list[Message] = []
@@ -226,18 +223,12 @@ class Driver:
         return _Mark(diagnoser.checkpoint(), dict(self._fed), [], copy.deepcopy(self._snapshot()))
 
     def _feed(
-        self,
-        diagnoser: Diagnoser,
-        until: Mapping[str, float] | None = None,
-        progress: Callable[[float], object] | None = None,
+        self, diagnoser: Diagnoser, until: Mapping[str, float] | None = None, progress: Callable[[float], object] | None = None
     ) -> list[Judged]:
         """The ticks made by the samples since the last call; until: of each signal only those up to this time [s]."""
         window, signals = self.window, {}
         for name in window.names:
-            since, end = (
-                self._fed.get(name, -np.inf),
-                window.newest(name) if until is None else until.get(name, -np.inf),
-            )
+            since, end = (self._fed.get(name, -np.inf), window.newest(name) if until is None else until.get(name, -np.inf))
             if end > since and name in SIGNALS:
                 signal = window.flight(since, (name,))[name]
                 if since > -np.inf or until is not None:

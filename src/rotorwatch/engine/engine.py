@@ -9,21 +9,7 @@ many samples in one call and keeps the ticks (`feed`). Both do the same in the s
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    LASTS,
-    REAL,
-    Real,
-    Reals,
-    Small,
-    Struct,
-    Time,
-    array,
-    copy,
-    embedded,
-    isnan,
-    local,
-    real,
-)
+from rotorwatch.base.compiling.structs import LASTS, REAL, Real, Reals, Small, Struct, Time, array, copy, embedded, isnan, local, real
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant

@@ -61,9 +61,7 @@ def feed(
     _go_on(g, v, p, e, made, out, room, fed)
 
 
-def finish(
-    g: Engine, v: Vehicle, p: Plan, e: Plant, time: Time, made: list[Made], out: list[Result], room: int, fed: Fed
-) -> None:
+def finish(g: Engine, v: Vehicle, p: Plan, e: Plant, time: Time, made: list[Made], out: list[Result], room: int, fed: Fed) -> None:
     """The end at `time` s, and the ticks that are left, as far as there is room; again with LASTS until there are none."""
     fed.ticks = 0
     if time < LASTS:

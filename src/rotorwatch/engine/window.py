@@ -10,11 +10,7 @@ import numpy as np
 from rotorwatch.flight import Flight, Message, Signal
 
 STATES = ("landed", "armed")
-LATE = (
-    "vibration",
-    "clipping",
-    "innovations",
-)  # signals that a link may bring late: they do not show how far the flight is
+LATE = ("vibration", "clipping", "innovations")  # signals that a link may bring late: they do not show how far the flight is
 MOST_MESSAGES = 1000  # other than states, that are kept; the newest
 
 

@@ -39,12 +39,7 @@ class Project(NamedTuple):
 
 
 def export_default(
-    out: str | Path,
-    *,
-    vehicle: Vehicle | str | None = None,
-    dt: float | None = None,
-    variable_dt: bool = False,
-    name: str = "default",
+    out: str | Path, *, vehicle: Vehicle | str | None = None, dt: float | None = None, variable_dt: bool = False, name: str = "default"
 ) -> Exported:
     """Write a C99 project of the default estimator into a folder, for ticks of dt seconds. Arguments as of `rotorwatch.export_c`. Raises
     ConfigError for a step of variable length, a paper's airframe and ticks that the estimator is not made for."""
@@ -69,9 +64,7 @@ def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     about = f"The default estimator: ticks of {dt:g} s of {B.shape[1]} rotors in, losses out."
     about += f" rotorwatch {__version__}, definition {digest}."
     header = text[0].replace("/*  */", f"/* {about} */").replace('#include "rw_config.h"\n', config)
-    header = header.replace(
-        "#ifdef __cplusplus\n}", _DECLARED.format(NAME=name, inputs=_inputs(B.shape[1])) + "#ifdef __cplusplus\n}"
-    )
+    header = header.replace("#ifdef __cplusplus\n}", _DECLARED.format(NAME=name, inputs=_inputs(B.shape[1])) + "#ifdef __cplusplus\n}")
     source = text[1] + "\n" + plant.replace("const rw_plant", "static const rw_plant") + _DEFINED.format(NAME=name)
     texts = {f"{name}.h": header, f"{name}.c": source, "example.c": _example(name, B)}
     return Project({file: _prefixed(text, name) for file, text in texts.items()}, _bytes(Estimator, values), digest)

@@ -97,9 +97,7 @@ def config(vehicle: Vehicle, dt: float, output_hz: float, gyro_hz: float, accel_
     return "\n".join([head, "#ifndef RW_CONFIG_H", "#define RW_CONFIG_H", *lines, "#endif", ""])
 
 
-def vehicle_table(
-    vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = allocation.YAW_HEADROOM
-) -> dict[str, Any]:
+def vehicle_table(vehicle: Vehicle, output: tuple[float, float], yaw_headroom: float = allocation.YAW_HEADROOM) -> dict[str, Any]:
     """The members of rw_vehicle. output: ends of the outputs' range in the autopilot's unit."""
     coaxial = lower_rotors(vehicle.effectiveness()) is not None
     return {"rotors": len(vehicle.rotors), **allocation.table(vehicle, output, yaw_headroom), "coaxial": coaxial}
@@ -152,9 +150,7 @@ def definitions() -> dict[str, str]:
     }
 
 
-def files(
-    vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]
-) -> dict[str, str]:
+def files(vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]) -> dict[str, str]:
     """File name -> text of the library. rates: of outputs, gyro and accelerometer [Hz]; tables: of `vehicle_table`, `plan_table`."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     texts |= definitions()

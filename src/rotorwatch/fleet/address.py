@@ -44,9 +44,7 @@ def resolve(url: str | os.PathLike | None) -> tuple[str, str]:
         return f"postgresql+psycopg://{rest}", label
     if text.startswith("sqlite:///"):
         text = text.removeprefix("sqlite:///")
-    elif (
-        re.match(r"[a-z][a-z0-9+.-]+:/", text, re.IGNORECASE) and not Path(text).exists()
-    ):  # a single letter is a drive
+    elif re.match(r"[a-z][a-z0-9+.-]+:/", text, re.IGNORECASE) and not Path(text).exists():  # a single letter is a drive
         text = re.sub(":/+", "://", text, count=1)
         raise ConfigError(f"{public(text)} is not a store; give a file name or postgresql://USER@HOST/DATABASE.")
     if not text:

@@ -227,10 +227,7 @@ def _with_sisters(series: Series, others: Sequence[Found], prior: np.ndarray) ->
 
 def _unknown(one: History) -> dict:
     """An aircraft without a usable flight."""
-    rotor = {"status": "unknown", "loss": 0.0, "interval": [0.0, 1.0], "evidence": 0.0} | {
-        "named": False,
-        "prognosis": None,
-    }
+    rotor = {"status": "unknown", "loss": 0.0, "interval": [0.0, 1.0], "evidence": 0.0} | {"named": False, "prognosis": None}
     rotors = [{"rotor": k} | rotor for k in range(1, max((r["rotors"] for r in one.rows), default=0) + 1)]
     why = Counter(one.left_out).most_common(1)[0][0]
     headline = f"Its rotors are not assessed over time: no flight can be used ({why})."
@@ -253,10 +250,7 @@ def _standing_of(one: History, sisters: int, headline: str, table: Mapping) -> d
         "build": _build(one),
         "sisters": sisters,
         "left_out": [{"hash": r["hash"], "name": r["name"], "why": w} for r, w in zip(one.rows, one.left_out) if w],
-        "services": [
-            {"before_flight": k + 1, "rotor": r + 1, "what": s["what"], "utc": s["utc"] or None}
-            for k, r, s in one.services
-        ],
+        "services": [{"before_flight": k + 1, "rotor": r + 1, "what": s["what"], "utc": s["utc"] or None} for k, r, s in one.services],
     } | dict(table)
 
 
@@ -291,9 +285,7 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
         "loss": _round(explain.loss(max(e, 0.0), n)),
         "interval": [_round(explain.loss(max(v, 0.0), n)) for v in (low, high)],
         "evidence": _round(float(found.evidence[i])),
-        "candidates": sorted(
-            {c + 1 for k in unsure for c, p in found.candidates[k].items() if p > MENTIONED and c >= 0}
-        ),
+        "candidates": sorted({c + 1 for k in unsure for c, p in found.candidates[k].items() if p > MENTIONED and c >= 0}),
         "or_centre_of_mass": any(found.candidates[k].get(-1, 0.0) > MENTIONED for k in unsure),
         "prognosis": _prognosis(one, series, found, i),
     }
@@ -345,10 +337,7 @@ def _headline(table: Mapping) -> str:
             sentences.append(text + _outlook(r["prognosis"]) + ".")
         elif r["status"] == "suspect":
             others = [str(c) for c in r["candidates"] if c != r["rotor"]]
-            alternatives = [
-                *(f"rotor {c}" for c in others),
-                *(["a shifted centre of mass"] if r["or_centre_of_mass"] else []),
-            ]
+            alternatives = [*(f"rotor {c}" for c in others), *(["a shifted centre of mass"] if r["or_centre_of_mass"] else [])]
             else_ = ", or it is " + " or ".join(alternatives) if alternatives else ", but not beyond doubt"
             sentences.append(f"Rotor {r['rotor']} may have lost thrust{else_}.")
     return " ".join(sentences) or "No rotor has lost thrust over its flights."

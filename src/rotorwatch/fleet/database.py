@@ -78,11 +78,7 @@ class Database:
     def writing(self) -> Iterator[Queries]:
         """A connection in an exclusive write transaction; committed at the end, else rolled back."""
         connected = self.engine.connect
-        with (
-            self._errors_as_sentences(),
-            connected().execution_options(rotorwatch_write=True) as connection,
-            connection.begin(),
-        ):
+        with self._errors_as_sentences(), connected().execution_options(rotorwatch_write=True) as connection, connection.begin():
             if not self._lite:
                 connection.execute(sa.text(f"SELECT pg_advisory_xact_lock({LOCK})"))
             yield Queries(connection)
@@ -104,9 +100,7 @@ def _engine(url: str, lite: bool) -> sa.Engine:
         path = Path(url.removeprefix("sqlite:///"))
         engine = sa.create_engine(url, creator=lambda: _connected(path))
     except ImportError:
-        raise ConfigError(
-            'A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".'
-        ) from None
+        raise ConfigError('A store in PostgreSQL needs psycopg, which is not installed: pip install "psycopg[binary]".') from None
 
     # SQLite's Python driver begins transactions late and excludes DDL: they are begun here, at once for writers.
     @event.listens_for(engine, "begin")
@@ -155,10 +149,7 @@ def _error(why: Exception, label: str, lite: bool) -> StoreError:
 def _sentence(text: str, low: str, label: str, lite: bool) -> str:
     copy = "give another file, or restore a backup"
     known = (
-        (
-            "locked",
-            f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}",
-        ),
+        ("locked", f"Another program has kept the store {label} busy for {WAIT_S:.0f} s: wait for it or stop it. {AGAIN}"),
         ("not a database|malformed", f"{label} is not a store of rotorwatch, or is damaged; {copy}."),
         ("readonly|read-only", f"The store {label} is not writable; check the permissions of its file and folder."),
         ("unable to open", f"The store {label} cannot be opened; check its folder and permissions."),
@@ -166,6 +157,4 @@ def _sentence(text: str, low: str, label: str, lite: bool) -> str:
     if not lite:
         away = f"The database {label} cannot be reached ({text[:120]}): check that it is running. {AGAIN}"
         known = (*known, ("connect|server|terminat|shutting down", away))
-    return next(
-        (reply for words, reply in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}"
-    )
+    return next((reply for words, reply in known if re.search(words, low)), f"The store {label} failed ({text[:160]}). {AGAIN}")

@@ -61,6 +61,4 @@ def _rotor(a: dict, r: dict) -> dict:
     outlook = r["prognosis"] or {}
     extra = {"outlook": outlook.get("word"), "aircraft": a["key"], "aircraft_name": a["name"]}
     extra |= dict(zip(("loss_low", "loss_high"), r["interval"]))
-    return (
-        r | outlook | extra | dict(zip(("hours_left_low", "hours_left_high"), outlook.get("hours_left_interval") or ()))
-    )
+    return r | outlook | extra | dict(zip(("hours_left_low", "hours_left_high"), outlook.get("hours_left_interval") or ()))

@@ -15,17 +15,13 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.healthy import whole_flight
 
 
-def entry(
-    path: str | os.PathLike, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None
-) -> Entry:
+def entry(path: str | os.PathLike, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None) -> Entry:
     """Read and judge a log. aircraft: a name to use in place of what the log says. Raises LogError, VehicleError or ConfigError."""
     from rotorwatch import logs
 
     hash = logs.fingerprint(path)[1]
     flight = logs.read(path, progress and portion(progress, 0.0, READ, "reading"))
-    return of_flight(
-        flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress
-    )
+    return of_flight(flight, hash, os.path.abspath(path), logs.of_part(path)[0].stat().st_size, aircraft, vehicle, progress)
 
 
 def of_flight(

@@ -61,9 +61,7 @@ def condition(db: Any, wanted: Filters) -> tuple[str, dict[str, Any]]:
         add(f"(f.words LIKE :word{k} ESCAPE '/' OR lower(a.name) LIKE :word{k} ESCAPE '/')", **{f"word{k}": like})
     if verdicts := dict.fromkeys(filter(None, re.split(r"[\s,]+", wanted.verdict.lower()))):
         if unknown := [one for one in verdicts if one not in VERDICTS]:
-            raise ConfigError(
-                f"verdict {_quoted(unknown[0])}{meant(unknown[0], VERDICTS)}: choose from {', '.join(VERDICTS)}."
-            )
+            raise ConfigError(f"verdict {_quoted(unknown[0])}{meant(unknown[0], VERDICTS)}: choose from {', '.join(VERDICTS)}.")
         names = {f"verdict{k}": one for k, one in enumerate(verdicts)}
         add(f"f.verdict IN ({', '.join(f':{name}' for name in names)})", **names)
     if wanted.since:

@@ -210,9 +210,7 @@ class Store:
             if keys["into"] == keys["old"]:
                 raise ConfigError(f"{aircraft} and {other} are one aircraft already.")
             last = _services_of(db, keys["into"])
-            db.run(
-                "UPDATE services SET aircraft = :into, number = number + :last WHERE aircraft = :old", last=last, **keys
-            )
+            db.run("UPDATE services SET aircraft = :into, number = number + :last WHERE aircraft = :old", last=last, **keys)
             for table in ("flights", "identities"):
                 db.run(f"UPDATE {table} SET aircraft = :into WHERE aircraft = :old", **keys)
             db.run("DELETE FROM standings")
@@ -242,9 +240,7 @@ class Store:
 
     # Reading
 
-    def flights(
-        self, sort: str = listing.NEWEST, limit: int | None = 100, offset: int = 0, **filters: Any
-    ) -> list[dict]:
+    def flights(self, sort: str = listing.NEWEST, limit: int | None = 100, offset: int = 0, **filters: Any) -> list[dict]:
         """Flights: the columns of SHOWN and `aircraft_name`. filters: those of `listing.Filters`; sort: as for `listing.order`, by default
         the newest first (those without a time last). Raises ConfigError, and NotInStore for an unknown aircraft."""
         ordered = listing.order(sort)
@@ -280,9 +276,7 @@ class Store:
     def refused(self, hash: str, given: str) -> str:
         """The reason why a file with these bytes could not be judged with the same settings (`refuse`); empty where unknown."""
         with self._database.reading() as db:
-            return (
-                db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
-            )
+            return db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
 
     def paths(self) -> set[str]:
         """Paths and addresses of all logs in the store, and of files that could not be judged."""
@@ -327,9 +321,7 @@ class Store:
         """Maintenance in order of addition: aircraft (key), number, rotor (0: all), what, utc or None, after."""
         with self._database.reading() as db:
             where, given = listing.of_aircraft(db, aircraft)
-            return [
-                _plain(r) for r in db.rows(f"SELECT * FROM services f WHERE {where} ORDER BY aircraft, number", **given)
-            ]
+            return [_plain(r) for r in db.rows(f"SELECT * FROM services f WHERE {where} ORDER BY aircraft, number", **given)]
 
     def trims(self, aircraft: str | None = None) -> Iterator[dict]:
         """Every flight of a known aircraft, in order of addition, with `trim`: the input to histories."""

@@ -41,10 +41,7 @@ aircraft = sa.Table(
 
 # Identity of a log's aircraft: serial number, board and calibration, or a name. An aircraft may have several.
 identities = sa.Table(
-    "identities",
-    metadata,
-    _column("identity", primary_key=True),
-    _of("aircraft", "key", "aircraft", nullable=False, index=True),
+    "identities", metadata, _column("identity", primary_key=True), _of("aircraft", "key", "aircraft", nullable=False, index=True)
 )
 
 flights = sa.Table(
@@ -118,9 +115,7 @@ standings = sa.Table(
 )
 
 # Files that could not be judged. given: the version that tried, and its settings; why: the sentence.
-refused = sa.Table(
-    "refused", metadata, _column("hash", primary_key=True), *(_column(name) for name in ("path", "given", "why"))
-)
+refused = sa.Table("refused", metadata, _column("hash", primary_key=True), *(_column(name) for name in ("path", "given", "why")))
 
 
 def _add(*tables: sa.Table) -> Callable[[Any], None]:
@@ -184,9 +179,7 @@ def version(connection: Any) -> int:
     if not str(stored or 0).isdecimal():
         raise StoreError("The store is damaged (table meta, version): restore a backup, or add the logs to a new one.")
     if int(stored or 0) > len(STEPS):
-        raise StoreError(
-            f"The store was made by a later version of rotorwatch (tables {stored}, known {len(STEPS)}); update rotorwatch."
-        )
+        raise StoreError(f"The store was made by a later version of rotorwatch (tables {stored}, known {len(STEPS)}); update rotorwatch.")
     return int(stored or 0)
 
 

@@ -194,11 +194,7 @@ class Trace:
         for k, axis in enumerate(("roll", "pitch", "yaw", "thrust")):
             columns |= {f"residual_{axis}": self.residual[:, k], f"residual_sd_{axis}": self.residual_sd[:, k]}
         columns |= {f"evidence_{name}": values for name, values in self.evidence.items()}
-        logged = {
-            "position": ("north", "east", "down"),
-            "battery": ("voltage", "current"),
-            "vibration": ("x", "y", "z"),
-        }
+        logged = {"position": ("north", "east", "down"), "battery": ("voltage", "current"), "vibration": ("x", "y", "z")}
         for name, parts in logged.items():
             if (values := getattr(self, name)) is not None:
                 columns |= {f"{name}_{part}": values[:, k] for k, part in enumerate(parts)}
@@ -278,9 +274,7 @@ class Diagnosis:
         """The Diagnosis from `to_dict`'s output, without the trace and a method's own series, numbers as rounded. Raises ConfigError for
         another schema."""
         if found.get("schema") != SCHEMA:
-            raise ConfigError(
-                f"This diagnosis has the schema {found.get('schema')}, not {SCHEMA}; diagnose the log again."
-            )
+            raise ConfigError(f"This diagnosis has the schema {found.get('schema')}, not {SCHEMA}; diagnose the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
         optional_ = {"timing": {}, "picture": None, "story": ()}
         answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}

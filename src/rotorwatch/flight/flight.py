@@ -143,13 +143,7 @@ class Signal:
         """The same signal with other samples: arrays with a Signal's properties, which are not checked."""
         new = object.__new__(Signal)
         new.__dict__.update(
-            time=time,
-            values=values,
-            columns=self.columns,
-            unit=self.unit,
-            frame=self.frame,
-            source=self.source,
-            valid=valid,
+            time=time, values=values, columns=self.columns, unit=self.unit, frame=self.frame, source=self.source, valid=valid
         )
         return new
 

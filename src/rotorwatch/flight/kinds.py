@@ -260,9 +260,7 @@ def register(*rows: Kind) -> None:
 
 def table() -> dict[str, Kind]:
     """Name -> kind, of all kinds in the order of their numbers, those of every witness included."""
-    importlib.import_module(
-        "rotorwatch.witnesses.witness"
-    ).registered()  # each witness registers its kinds as it is loaded
+    importlib.import_module("rotorwatch.witnesses.witness").registered()  # each witness registers its kinds as it is loaded
     return dict(sorted(_TABLE.items(), key=lambda item: item[1].number))
 
 

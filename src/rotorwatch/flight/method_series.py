@@ -112,9 +112,7 @@ class MethodSeries:
         step = 1 if most is None else max(1, -(-len(self.time) // most))
         keep = np.unique(np.append(np.arange(0, len(self.time), step), max(len(self.time) - 1, 0)))[: len(self.time)]
         series = {
-            name: [
-                None if not np.isfinite(v) else int(v) if values.dtype.kind in "iu" else float(v) for v in values[keep]
-            ]
+            name: [None if not np.isfinite(v) else int(v) if values.dtype.kind in "iu" else float(v) for v in values[keep]]
             for name, values in self.columns().items()
             if most is None or not name.startswith("cov_")
         }

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
 def page(log: Flight) -> str:
     """The log's signals with their rates, and warnings."""
     signals = [
-        (name, ", ".join(s.columns), s.unit, s.frame, str(len(s)), f"{s.rate_hz:.1f}", s.source)
-        for name, s in sorted(log.signals.items())
+        (name, ", ".join(s.columns), s.unit, s.frame, str(len(s)), f"{s.rate_hz:.1f}", s.source) for name, s in sorted(log.signals.items())
     ]
     about = ", ".join(text for text in (log.autopilot, log.firmware, log.format, f"{log.duration:.1f} s") if text)
     heads = ("signal", "columns", "unit", "frame", "samples", "Hz", "source")

@@ -78,9 +78,7 @@ def from_table(table: Mapping[str, Any]) -> Vehicle:
         except (TypeError, ValueError):
             mixer = np.empty(0)
         if mixer.shape != (len(rotors), 4) or not np.isfinite(mixer).all():
-            raise VehicleError(
-                f"mixer must be {len(rotors)} rows (roll, pitch, yaw, throttle) of numbers, one per rotor."
-            )
+            raise VehicleError(f"mixer must be {len(rotors)} rows (roll, pitch, yaw, throttle) of numbers, one per rotor.")
     assumptions = table.get("assumptions", [])
     if not isinstance(assumptions, list) or not all(isinstance(a, str) for a in assumptions):
         raise VehicleError("assumptions must be a list of texts.")

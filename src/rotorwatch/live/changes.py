@@ -46,7 +46,5 @@ class Changes:
                 changed.append(Change(number, WITHDRAWN, self.now.pop(number)))
             elif self.now.get(number) != events[place]:
                 self.now[number] = events[place]
-                changed.append(
-                    Change(number, FINAL if final and what == changes.CHANGED else NAMES[what], events[place])
-                )
+                changed.append(Change(number, FINAL if final and what == changes.CHANGED else NAMES[what], events[place]))
         return changed

@@ -20,9 +20,7 @@ class Clock:
         self.start: float | None = None
         self._last = 0.0
         self._lead = 0.0  # of the least delayed message: its stamp less its arrival [us]
-        self._other: list[
-            tuple[float, float]
-        ] = []  # (stamp us, arrival s) of successive stamps that do not fit, first and latest
+        self._other: list[tuple[float, float]] = []  # (stamp us, arrival s) of successive stamps that do not fit, first and latest
         self._others = 0
         self.refused = 0
 
@@ -49,9 +47,7 @@ class Clock:
                 self._last, self._lead = stamp, max(self._lead, stamp - 1e6 * arrival)
             return (stamp - self.start) * 1e-6
         self.refused += 1
-        if short or not self._agreed(
-            stamp, arrival
-        ):  # 32-bit stamps decide nothing: their wraps are counted by this clock
+        if short or not self._agreed(stamp, arrival):  # 32-bit stamps decide nothing: their wraps are counted by this clock
             return None
         if not self._last < stamp <= latest + SET_US:
             raise Restarted(reboot=bool(stamp < self._last))

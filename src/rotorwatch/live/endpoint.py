@@ -211,9 +211,7 @@ class Serial(Stream):
         except FileNotFoundError:
             raise LinkError(f"{device}: no such device; is it plugged in?") from None
         except PermissionError:
-            raise LinkError(
-                f"{device}: permission denied; join the group that owns it (often dialout) and log in again."
-            ) from None
+            raise LinkError(f"{device}: permission denied; join the group that owns it (often dialout) and log in again.") from None
         except OSError as why:
             raise LinkError(f"{device} cannot be opened as a serial port ({why.strerror or why}).") from why
 
@@ -222,14 +220,10 @@ class Serial(Stream):
             import termios
             import tty
         except ImportError:
-            raise LinkError(
-                "Serial ports can be watched on Linux and macOS only; forward the link to UDP and give udp:PORT."
-            ) from None
+            raise LinkError("Serial ports can be watched on Linux and macOS only; forward the link to UDP and give udp:PORT.") from None
         speed = getattr(termios, f"B{self._baud}", None)
         if speed is None:
-            raise LinkError(
-                f"{self.name}: {self._baud} is not a baud rate of this computer's serial ports; 57600 and 115200 are usual."
-            )
+            raise LinkError(f"{self.name}: {self._baud} is not a baud rate of this computer's serial ports; 57600 and 115200 are usual.")
         file = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             tty.setraw(file)

@@ -146,11 +146,7 @@ def text_of(alert: dict) -> tuple[str, int]:
         what += f": {alert['event']['trouble']}"
     if upset:
         numbers = "+".join(map(str, event.rotors))
-        who = (
-            f"rotor{'s' if len(event.rotors) > 1 else ''} {numbers}"
-            if numbers
-            else CAUSES.get(alert["event"].get("cause"), "")
-        )
+        who = f"rotor{'s' if len(event.rotors) > 1 else ''} {numbers}" if numbers else CAUSES.get(alert["event"].get("cause"), "")
         what, event.rotors = ", ".join(filter(None, (what, who))), ()
     if not _over(alert["event"]):
         event.end_s = None

@@ -47,16 +47,12 @@ def _words(needs: Iterable[str]) -> str:
 def _missing(what: str, asked: bool) -> str:
     """The missing message, and a remedy. asked: it was requested of the vehicle."""
     if what != "parameters":
-        helps = "the vehicle has to send them here" + (
-            "." if asked else ", or omit --listen-only so that they are requested."
-        )
+        helps = "the vehicle has to send them here" + ("." if asked else ", or omit --listen-only so that they are requested.")
         return f"no {WORDS[what]} come ({' or '.join(NEEDS[what][:2])}); {helps}"
     why = "the parameters, which define the airframe and which output drives which rotor, have not arrived; "
     if asked:
         return why + "they were requested, so let a ground station fetch them, or give --vehicle FILE."
-    return (
-        why + "omit --listen-only so that they are requested, let a ground station fetch them, or give --vehicle FILE."
-    )
+    return why + "omit --listen-only so that they are requested, let a ground station fetch them, or give --vehicle FILE."
 
 
 class LinkedVehicle:
@@ -204,11 +200,7 @@ class LinkedVehicle:
         self.watched.finish()
         health = self.watched.health
         health.reboots, health.jumps = health.reboots + reboot, health.jumps + (not reboot)
-        self.watched.say(
-            "the vehicle has rebooted; watching restarts"
-            if reboot
-            else "the vehicle's clock was set; watching restarts"
-        )
+        self.watched.say("the vehicle has rebooted; watching restarts" if reboot else "the vehicle's clock was set; watching restarts")
         self._anew()
 
     def _anew(self) -> None:
@@ -327,9 +319,7 @@ class LinkedVehicle:
                 missing=missing,
             )
         elif missing:
-            self.watched.say(
-                f"nothing can be assessed yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing
-            )
+            self.watched.say(f"nothing can be assessed yet: {' '.join(_missing(what, talks) for what in missing)}", missing=missing)
         elif set(before) & set(NEEDS):
             self.watched.say("motor outputs and angular rates are arriving now")
 
@@ -483,9 +473,7 @@ class Link:
 
     def boot_ms(self, name: str, time_s: float | None = None) -> int:
         """The vehicle's own time, as in its messages; time_s: that of its flight, None for now."""
-        clock = next(
-            (vehicle.messages.clock for vehicle in self._vehicles.values() if vehicle.watched.name == name), None
-        )
+        clock = next((vehicle.messages.clock for vehicle in self._vehicles.values() if vehicle.watched.name == name), None)
         if clock is None or clock.start is None:
             return 0
         return int(clock.start * 1e-3 + (clock.now if time_s is None else time_s) * 1e3) % 2**32
@@ -530,11 +518,7 @@ class Link:
                 self._refused.add(kind)
                 what = OTHERS.get(kind, f"of an unknown kind (MAV_TYPE {kind})")
                 self._notify(
-                    {
-                        "type": "notice",
-                        "vehicle": self._name(system, component),
-                        "text": f"this is {what}; only multirotors are supported",
-                    }
+                    {"type": "notice", "vehicle": self._name(system, component), "text": f"this is {what}; only multirotors are supported"}
                 )
             return
         if len(self._vehicles) >= VEHICLES and not self._room(more):

@@ -155,9 +155,7 @@ class Messages:
         """Add a frame. Raises clock.Restarted."""
         body = payload(frame, layout.kind.itemsize)
         if layout.stamp is not None:
-            time = self.clock.take(
-                layout.stamp.unpack_from(body, layout.offset)[0] * layout.scale, arrival, layout.short
-            )
+            time = self.clock.take(layout.stamp.unpack_from(body, layout.offset)[0] * layout.scale, arrival, layout.short)
             if time is None:
                 return
         else:

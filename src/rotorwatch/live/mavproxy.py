@@ -182,9 +182,7 @@ class Watcher:
             self._say(f"rotorwatch: {vehicle}: {alert['frame']}, {alert['rotors']} rotors", ground.NOTICE)
             return
         if alert["type"] != "event":
-            severity = (
-                ground.text_of(alert)[1] if "rotor" in alert else WARNING if alert["type"] == "error" else ground.NOTICE
-            )
+            severity = ground.text_of(alert)[1] if "rotor" in alert else WARNING if alert["type"] == "error" else ground.NOTICE
             self._say(f"rotorwatch: {vehicle}: {alert['text']}", severity)
             return
         told = name, alert["number"]
@@ -294,17 +292,13 @@ def _module(base: type) -> type:
 
     class RotorwatchModule(base):
         def __init__(self, mpstate: Any, listen_only: bool, vehicle: str | None):
-            super().__init__(
-                mpstate, "rotorwatch", "which rotor of a vehicle lost effectiveness", public=True, multi_vehicle=True
-            )
+            super().__init__(mpstate, "rotorwatch", "which rotor of a vehicle lost effectiveness", public=True, multi_vehicle=True)
             kinds = {type(master).__name__ for master in mpstate.mav_master}
             talks = not listen_only and not kinds & {"mavlogfile", "mavmmaplog"}
             self._handed, self._places = Handed("mavserial" in kinds), Places()
             self._guard = Guard(lambda text: self.console.writeln(f"rotorwatch: {text}", fg="red"))
             self._shown = Shown(lambda: self.console, self._maps)
-            self._watcher = Watcher(
-                self._handed, self._places, talks, None if vehicle is None else Path(vehicle).expanduser()
-            )
+            self._watcher = Watcher(self._handed, self._places, talks, None if vehicle is None else Path(vehicle).expanduser())
             self._waiting: News | None = None
             self._next = self._next_map = 0.0
             self.add_command("rotorwatch", self._command, "events of rotors", ["status", "clear"])
@@ -385,9 +379,7 @@ def _module(base: type) -> type:
             elif args in ([], ["status"]):
                 states = self._watcher.states or {"": ("no vehicle", "is known yet")}
                 for number, (state, words) in states.items():
-                    self.console.writeln(
-                        f"rotorwatch: {f'vehicle {number}: ' if number else ''}{state} {words}".rstrip()
-                    )
+                    self.console.writeln(f"rotorwatch: {f'vehicle {number}: ' if number else ''}{state} {words}".rstrip())
             else:
                 self.console.writeln("usage: rotorwatch <status|clear>")
 

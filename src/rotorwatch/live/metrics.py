@@ -68,9 +68,7 @@ class Metrics:
             self._server = _server(host, port, prometheus.make_wsgi_app(registry))
         except (OSError, UnicodeError) as why:
             reason = getattr(why, "strerror", None) or why
-            raise ConfigError(
-                f"--metrics {where} cannot be opened ({reason}); is another program using this port?"
-            ) from why
+            raise ConfigError(f"--metrics {where} cannot be opened ({reason}); is another program using this port?") from why
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
         self.port: int = self._server.server_port
@@ -100,9 +98,7 @@ class Metrics:
         from prometheus_client.core import GaugeMetricFamily as Gauge
 
         now, pictures, by_name = time.monotonic(), self._pictures, ["vehicle"]
-        state = Gauge(
-            "rotorwatch_state", "1 for the state a vehicle is in, 0 for the others.", labels=["vehicle", "state"]
-        )
+        state = Gauge("rotorwatch_state", "1 for the state a vehicle is in, 0 for the others.", labels=["vehicle", "state"])
         columns = [
             Gauge(f"rotorwatch_rotor_loss{part}", text, labels=["vehicle", "rotor"])
             for part, text in (

@@ -60,9 +60,7 @@ class Record:
                 os.close(file)
             except OSError:
                 pass
-        self._failed(
-            f"recording to {self._path} has stopped ({why.strerror or why}): the file ends there; the diagnosis continues"
-        )
+        self._failed(f"recording to {self._path} has stopped ({why.strerror or why}): the file ends there; the diagnosis continues")
 
     def close(self) -> None:
         """Write the rest."""

@@ -20,9 +20,7 @@ class Replay:
 
     def __init__(self, flight: Flight, watched: Watched, speed: float = np.inf):
         if aerobatic.flown_by_rates(flight):
-            raise ConfigError(
-                f"{flight.name or 'The log'} is of a firmware without a telemetry link: use `rotorwatch diagnose`."
-            )
+            raise ConfigError(f"{flight.name or 'The log'} is of a firmware without a telemetry link: use `rotorwatch diagnose`.")
         times = [s.time for s in flight.signals.values() if len(s)]
         self._now = min((float(t[0]) for t in times), default=0.0)
         self._end = max((float(t[-1]) for t in times), default=0.0)

@@ -71,9 +71,7 @@ class Rotors:
                 self._turned[k] = min(since, time)
                 if time - self._turned[k] >= AGAIN_S:
                     del self._turned[k]
-                    changes.append(
-                        (k + 1, f"the ESC of {rotors([k + 1])} reports that the motor turns again at {time:.1f} s")
-                    )
+                    changes.append((k + 1, f"the ESC of {rotors([k + 1])} reports that the motor turns again at {time:.1f} s"))
         if not self._bad.any() and known.any():
             self._speeds.append(np.where(known, speed, np.nan))
             self._commands.append(command)

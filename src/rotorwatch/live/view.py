@@ -54,11 +54,7 @@ def line(watched: Watched, waits_for: str = "") -> Line:
     losses = None if session is None else session.losses()
     wrong = lasting(watched.events)
     blind = watched.trouble or (
-        f"waiting for {waits_for}"
-        if waits_for
-        else "not known yet"
-        if session is None
-        else watched.gone or session.blind()
+        f"waiting for {waits_for}" if waits_for else "not known yet" if session is None else watched.gone or session.blind()
     )
     if any(e.kind == LOST for e in wrong):
         state = "LOST"
@@ -108,11 +104,7 @@ def _link(health, silence: float) -> str:
 
 
 def _besides(shown: Line) -> list[str]:
-    return [
-        f"link: {shown.link}",
-        *([f"blind: {shown.blind}"] if shown.blind else []),
-        *([shown.esc] if shown.esc else []),
-    ]
+    return [f"link: {shown.link}", *([f"blind: {shown.blind}"] if shown.blind else []), *([shown.esc] if shown.esc else [])]
 
 
 def table(sources: Sequence[Source]) -> Any:
@@ -134,12 +126,7 @@ def table(sources: Sequence[Source]) -> Any:
                 head.append(f"{percent(loss):>5}" if loss >= 0.01 else "    –", style or "default not bold on default")
             parts.append(head)
             parts += [Padding(Text(event), (0, 0, 0, 9)) for event in row.events]
-            parts.append(
-                Padding(
-                    Text("; ".join(_besides(row)), "dim"),
-                    (0, 0, 0, 9),
-                )
-            )
+            parts.append(Padding(Text("; ".join(_besides(row)), "dim"), (0, 0, 0, 9)))
         if sentences := getattr(source, "trouble", ""):
             parts.append(Text(sentences, "bold red"))
     return Group(*parts) if parts else Text("nothing received yet")

@@ -108,9 +108,7 @@ class Watched:
                 self.say(text, rotor=rotor)
             if known is None and self.session.vehicle is not None:
                 frame = self.session.vehicle
-                self._notify(
-                    {"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)}
-                )
+                self._notify({"type": "vehicle", "vehicle": self.name, "frame": frame.name, "rotors": len(frame.rotors)})
         except Exception as why:
             self.fail(why)
 
@@ -176,10 +174,7 @@ class Watched:
             self._alert(change)
         if self.session.doubt != self._doubt:
             self._doubt = self.session.doubt
-            self.say(
-                self._doubt or "the data are consistent again; the assessment continues",
-                "error" if self._doubt else "notice",
-            )
+            self.say(self._doubt or "the data are consistent again; the assessment continues", "error" if self._doubt else "notice")
 
     def _alert(self, change: Change) -> None:
         alert = {"type": "event", "vehicle": self.name, "number": change.number, "state": change.what}

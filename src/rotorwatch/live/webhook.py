@@ -79,9 +79,7 @@ class Webhook:
         """Report changes; called by the loop, so that one thread does all reporting."""
         if self._ends is None and not self._thread.is_alive():
             self._start()
-            self._notices.append(
-                f"{self.name}: sending alerts stopped after an internal error and restarts; please report it"
-            )
+            self._notices.append(f"{self.name}: sending alerts stopped after an internal error and restarts; please report it")
         while self._notices:
             self._notify(self._notices.popleft())
 
@@ -94,9 +92,7 @@ class Webhook:
         with self._change:
             left = len(self._queue)
         if left:
-            self._notices.append(
-                f"{self.name}: {left} alert{'s' if left > 1 else ''} could not be sent before shutdown"
-            )
+            self._notices.append(f"{self.name}: {left} alert{'s' if left > 1 else ''} could not be sent before shutdown")
         self.step()
 
     def _work(self) -> None:
@@ -144,9 +140,7 @@ class Webhook:
             if 300 <= code < 500 and code not in AGAIN:
                 self.refused += 1
                 if self.refused == 1:
-                    self._notices.append(
-                        f"{self.name} refuses alerts ({code} {reason}); check the address of --webhook"
-                    )
+                    self._notices.append(f"{self.name} refuses alerts ({code} {reason}); check the address of --webhook")
                 return ""
             return f"{code} {reason}"
         except Exception as why:  # any network error

@@ -196,9 +196,7 @@ def read_mcap(data, bag: Bag, progress=None) -> None:
             raise LogError("this MCAP file is too damaged to be read") from None
         bag.notes.append("the MCAP file is cut off or damaged; what comes before that place was read")
     if lost:
-        bag.notes.append(
-            f"{lost} chunk{'s' if lost > 1 else ''} of the MCAP file {'are' if lost > 1 else 'is'} damaged and skipped"
-        )
+        bag.notes.append(f"{lost} chunk{'s' if lost > 1 else ''} of the MCAP file {'are' if lost > 1 else 'is'} damaged and skipped")
 
 
 class _Database:
@@ -270,10 +268,7 @@ def _opened(source: Path | bytes) -> Iterator[_Database]:
             place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rotorwatch-"))) / "bag.db3"
             place.write_bytes(source)
         if isinstance(place, Path):
-            base, size = (
-                sqlite3.connect(f"{place.resolve().as_uri()}?mode=ro&immutable=1", uri=True),
-                place.stat().st_size,
-            )
+            base, size = (sqlite3.connect(f"{place.resolve().as_uri()}?mode=ro&immutable=1", uri=True), place.stat().st_size)
         else:
             base, size = sqlite3.connect(":memory:"), len(place)
             base.deserialize(place)

@@ -19,11 +19,7 @@ _MAGIC = {
     b"\x1f\x8b": (".gz", lambda: _Gzip()),
     b"BZh": (".bz2", bz2.BZ2Decompressor),
 }
-_REFUSED = {
-    b"\x28\xb5\x2f\xfd": ("zstd", "unzstd"),
-    b"PK\x03\x04": ("zip", "unzip"),
-    b"7z\xbc\xaf\x27\x1c": ("7-zip", "7z x"),
-}
+_REFUSED = {b"\x28\xb5\x2f\xfd": ("zstd", "unzstd"), b"PK\x03\x04": ("zip", "unzip"), b"7z\xbc\xaf\x27\x1c": ("7-zip", "7z x")}
 PACKED = tuple(suffix for suffix, _ in _MAGIC.values())
 REFUSED = (".zst", ".zip", ".7z")
 """Endings of names: of what is unpacked here, and of what is not."""
@@ -67,9 +63,7 @@ def open_log(path: Path, progress=None, limit: int = incoming.MOST):
             head = file.read(16)
             for magic, (kind, tool) in _REFUSED.items():
                 if head.startswith(magic):
-                    raise LogError(
-                        f"{path}: {kind} archives are not supported; unpack it first, for instance with '{tool}'"
-                    )
+                    raise LogError(f"{path}: {kind} archives are not supported; unpack it first, for instance with '{tool}'")
             for magic, (suffix, decoder) in _MAGIC.items():
                 if head.startswith(magic):
                     file.seek(0)

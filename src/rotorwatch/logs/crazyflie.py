@@ -147,12 +147,8 @@ def _mixed(columns, notes):
         if wanted is not None:
             thrust, roll, pitch, yaw = np.where(np.abs(wanted) < 1e6, wanted, np.nan).T
             r, p = np.trunc(roll / 2.0), np.trunc(pitch / 2.0)
-            motors = np.stack(
-                [thrust - r + p + yaw, thrust - r - p - yaw, thrust + r - p + yaw, thrust + r + p - yaw], 1
-            )
-            notes.append(
-                f"motor.m1..m4 were not logged; motor commands are rebuilt from {group}.cmd_* with the firmware's mixer"
-            )
+            motors = np.stack([thrust - r + p + yaw, thrust - r - p - yaw, thrust + r - p + yaw, thrust + r + p - yaw], 1)
+            notes.append(f"motor.m1..m4 were not logged; motor commands are rebuilt from {group}.cmd_* with the firmware's mixer")
             with np.errstate(invalid="ignore"):
                 return np.clip(motors, 0.0, _FULL), (motors <= _FULL).all(axis=1), f"{group}.cmd_*"
     return None, None, ""

@@ -291,9 +291,7 @@ class _Signals:
             self.warnings.append("RATE is in centidegrees per second in this firmware; it was scaled.")
         if raw_control:
             control = control / [RAW_TORQUE, RAW_TORQUE, RAW_TORQUE, 1.0]
-            self.warnings.append(
-                f"Controller outputs in this firmware are raw; {RAW_TORQUE:.0f} was taken as full output."
-            )
+            self.warnings.append(f"Controller outputs in this firmware are raw; {RAW_TORQUE:.0f} was taken as full output.")
         if _typical_peak(control[:, 3:]) > 2.0:
             control = control / [1.0, 1.0, 1.0, RAW_THROTTLE]
         self.add("rates", time, rates, "RATE")
@@ -321,13 +319,9 @@ class _Signals:
         motors = self.signals.get("motors")
         if motors is not None and len(motors) >= 10 and time.size >= 10:
             at = np.clip(np.searchsorted(motors.time, time), 0, len(motors) - 1)
-            near = (
-                (np.abs(motors.time[at] - time) < 0.3) & motors.valid[at].all(axis=1) & np.isfinite(control).all(axis=1)
-            )
+            near = (np.abs(motors.time[at] - time) < 0.3) & motors.valid[at].all(axis=1) & np.isfinite(control).all(axis=1)
             differential = motors.values[at[near]]
-            differential = (differential - differential.mean(axis=1, keepdims=True)) / (
-                PWM_RANGE_US[1] - PWM_RANGE_US[0]
-            )
+            differential = (differential - differential.mean(axis=1, keepdims=True)) / (PWM_RANGE_US[1] - PWM_RANGE_US[0])
             # A percentile over the flight: robust against a crash, damaged records, and calm air.
             moved, output = (quantile(np.abs(v), 0.8) if v.size else 0.0 for v in (differential, control[near]))
             if moved > 5e-4 and output > 0.0:
@@ -341,9 +335,7 @@ class _Signals:
         self._angles("attitude", message, ("Roll", "Pitch", "Yaw"))
         if "DesRoll" in self.log.columns(message):
             self._angles("attitude_wanted", message, ("DesRoll", "DesPitch", "DesYaw"))
-        elif "RollIn" in self.log.columns(
-            message
-        ):  # up to 3.1; YawIn is a stick, and the direction of thrust does not depend on it
+        elif "RollIn" in self.log.columns(message):  # up to 3.1; YawIn is a stick, and the direction of thrust does not depend on it
             self._angles("attitude_wanted", message, ("RollIn", "PitchIn", "Yaw"))
 
     def _angles(self, name: str, message: str, columns) -> None:

@@ -66,9 +66,7 @@ class Format:
         return first if first in ("TimeUS", "TimeMS") and self.codes[0] in "QIqi" else ""
 
 
-def make_format(
-    type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True
-) -> Format | None:
+def make_format(type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True) -> Format | None:
     """A Format from the fields of a FMT record, or None where they contradict each other (a damaged record)."""
     if not _NAME.fullmatch(name) or any(c not in CODES for c in codes):
         return None
@@ -340,9 +338,7 @@ class BinaryLog:
     def _items(self, at: np.ndarray, dtype: np.dtype) -> Iterator[tuple[slice, np.ndarray]]:
         """(which, `dtype` items there) of places in the file, in order, in blocks of SPAN bytes: never all bytes at once, and the memory of
         a block is released before the next."""
-        view = np.ndarray(
-            (max(self._bytes.size - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", buffer=self._bytes, strides=(1,)
-        )
+        view = np.ndarray((max(self._bytes.size - dtype.itemsize + 1, 0),), f"V{dtype.itemsize}", buffer=self._bytes, strides=(1,))
         start = 0
         while start < at.size:
             some = at[start : start + SPAN // 3]
@@ -363,9 +359,7 @@ class BinaryLog:
         first, changes = np.zeros(256, np.uint8), {}
         for type_, versions in self._formats.items():
             stamps = [
-                kinds.setdefault((fmt.dtype[fmt.stamp], 1.0 if fmt.stamp == "TimeUS" else 1e3), len(kinds) + 1)
-                if fmt.stamp
-                else 0
+                kinds.setdefault((fmt.dtype[fmt.stamp], 1.0 if fmt.stamp == "TimeUS" else 1e3), len(kinds) + 1) if fmt.stamp else 0
                 for _, fmt in versions
             ]
             first[type_] = stamps[0]
@@ -401,9 +395,7 @@ class BinaryLog:
         """Column names of message `name` over all its definitions; empty when the log has no such records."""
         return tuple(dict.fromkeys(c for _, f, records in self._versions(name) if records.size for c in f.columns))
 
-    def table(
-        self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None
-    ) -> Table | None:
+    def table(self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None) -> Table | None:
         """Columns of all records called `name`, scaled as their format characters say; None when there are none.
 
         wanted: columns to read, those the log lacks are left out (None: all). where: (column, value) keeps only the
@@ -439,9 +431,7 @@ class BinaryLog:
             return None if table is None else table.numbers(wanted)
         (fmt, records), codes = chosen[0], dict(zip(*(chosen[0][0].columns, chosen[0][0].codes), strict=True))
         values = np.full((records.size, len(wanted)), np.nan)
-        held = [
-            (k, c) for k, c in enumerate(wanted) if c in codes and not fmt.dtype[c].shape and fmt.dtype[c].kind in "iuf"
-        ]
+        held = [(k, c) for k, c in enumerate(wanted) if c in codes and not fmt.dtype[c].shape and fmt.dtype[c].kind in "iuf"]
         for part, rows in self._items(self._at[records], fmt.dtype):
             for k, column in held:
                 values[part, k] = _scaled(rows[column], codes[column])

@@ -69,9 +69,7 @@ class SteadyClock(NamedTuple):
         """The same as `Clock.of`."""
         us = self.stamps(records)
         if (rows := np.flatnonzero(np.isnan(us))).size:
-            begins = (
-                np.diff(self.bare, prepend=-2) > 1
-            )  # of those without a stamp in a row the first, and the record before it
+            begins = np.diff(self.bare, prepend=-2) > 1  # of those without a stamp in a row the first, and the record before it
             before = (self.bare[begins] - 1)[np.cumsum(begins) - 1][np.searchsorted(self.bare, records[rows])]
             us[rows] = np.where(before < 0, self.start_us, self.stamps(np.maximum(before, 0)))
         us -= self.start_us
@@ -129,9 +127,7 @@ def make_clock(stamps: np.ndarray) -> Clock:
     if resets:
         size, when = f"{resets[0][1] / 1e6:.1f} s", f"{jumps[0]:.1f} s"
         also = f" (and {amount(len(jumps) - 1, 'more time')})" if len(jumps) > 1 else ""
-        warnings.append(
-            f"The log's clock jumps back by {size} at {when}{also}; later times are shifted to be continuous."
-        )
+        warnings.append(f"The log's clock jumps back by {size} at {when}{also}; later times are shifted to be continuous.")
     # Carry the last stamp forward to records without one; those before the first stamp belong to the start.
     last = np.zeros(stamps.size, np.int32 if stamps.size < 2**31 else np.int64)
     last[timed] = np.arange(timed.size, dtype=last.dtype)
@@ -159,9 +155,7 @@ def _repaired(us: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray
             top = low - 1
         ahead = start[k] - end[low:k]
         score = best[low:k] - np.where(
-            ahead < -STEP_BACK_US,
-            RESET_PRICE,
-            np.where(ahead > DAY_US, RESET_PRICE, np.where(ahead > GAP_US, GAP_PRICE, 0)),
+            ahead < -STEP_BACK_US, RESET_PRICE, np.where(ahead > DAY_US, RESET_PRICE, np.where(ahead > GAP_US, GAP_PRICE, 0))
         )
         j = int(np.argmax(score))
         gain, source = float(score[j]), low + j
@@ -230,11 +224,7 @@ def _anchors(log, paced) -> tuple[np.ndarray | None, np.ndarray, str]:
         real = (steps > 0) & (steps < GAP_S)
         if real.sum() > len(steps) / 2:
             usual = float(median(steps[real]))
-            return (
-                gps.record,
-                np.r_[0.0, np.cumsum(np.where(real, steps, usual))],
-                "the GPS clock and the order of records",
-            )
+            return (gps.record, np.r_[0.0, np.cumsum(np.where(real, steps, usual))], "the GPS clock and the order of records")
     loop = next((paced[name] for name in ("MOT", "CTUN") if name in paced), None)
     if loop is None:
         return None, np.zeros(0), ""

@@ -67,9 +67,7 @@ def messages(log, clock) -> tuple[Message, ...]:
         if np.isfinite([source, code]).all():
             name = ERRORS.get(int(source), f"part {int(source)}")
             over = code == 0 and source != CORE
-            entries.append(
-                Message(time, "error", f"{name}: {'resolved' if over else f'error {int(code)}'}", float(source))
-            )
+            entries.append(Message(time, "error", f"{name}: {'resolved' if over else f'error {int(code)}'}", float(source)))
     number = "ModeNum" if "ModeNum" in log.columns("MODE") else "Mode"
     for time, mode in _rows(log, clock, "MODE", number):
         if np.isfinite(mode):
@@ -87,9 +85,7 @@ def messages(log, clock) -> tuple[Message, ...]:
             if not any(s == state and abs(t - time) < SAME_EVENT_S for t, s in arming[:armings]):
                 arming.append((time, state))
         elif event in (LANDED, NOT_LANDED):
-            entries.append(
-                Message(time, "landed", "landed" if event == LANDED else "in the air", float(event == LANDED))
-            )
+            entries.append(Message(time, "landed", "landed" if event == LANDED else "in the air", float(event == LANDED)))
         else:
             entries.append(Message(time, "event", EVENTS.get(int(event), f"event {int(event)}"), float(event)))
     entries += [Message(t, "armed", "armed" if state else "disarmed", state) for t, state in arming]

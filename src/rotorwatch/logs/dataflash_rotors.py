@@ -11,17 +11,12 @@ from rotorwatch.flight.output_functions import SERVO_MOTORS
 
 # FRAME_CLASS -> motor numbers. A tricopter's motor 7 is its tail servo, motor 3 does not exist.
 FRAME_ROTORS: dict[int, tuple[int, ...]] = {
-    class_: tuple(range(1, count + 1))
-    for class_, count in ((1, 4), (2, 6), (3, 8), (4, 8), (5, 6), (10, 2), (12, 12), (14, 10))
+    class_: tuple(range(1, count + 1)) for class_, count in ((1, 4), (2, 6), (3, 8), (4, 8), (5, 6), (10, 2), (12, 12), (14, 10))
 } | {7: (1, 2, 4)}
 BY_NUMBER = "No output has a motor function; rotor k was taken to be output k."
 LEAST_THROTTLE = 0.02  # standard deviation below which the throttle counts as constant
 TAIL = 39  # SERVOn_FUNCTION of a tricopter's tail servo: "motor 7"
-DRIVEN_US, ENOUGH, MOVES = (
-    1050.0,
-    100,
-    10,
-)  # pulses of a motor that runs; samples, and different values, of one that is flown with
+DRIVEN_US, ENOUGH, MOVES = (1050.0, 100, 10)  # pulses of a motor that runs; samples, and different values, of one that is flown with
 UNLIKE = 0.2  # share of an output's deviation not explained by the others
 FRAME_NAMES = {"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "OCTAQUAD": 4, "Y6": 5, "HELI": 6, "TRI": 7}
 FRAME_NAMES |= {"SINGLE": 8, "COAX": 9, "BICOPTER": 10, "DODECA_HEXA": 12, "DODECAHEXA": 12, "DECA": 14}
@@ -51,9 +46,7 @@ def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
     return [f"{names} not in the log; the frame that the autopilot announced, {text[0]}/{text[1]}, was taken."]
 
 
-def outputs(
-    parameters: Mapping[str, float], frame_class: int | None, pwm: Mapping[int, np.ndarray]
-) -> tuple[dict[int, int], list[str]]:
+def outputs(parameters: Mapping[str, float], frame_class: int | None, pwm: Mapping[int, np.ndarray]) -> tuple[dict[int, int], list[str]]:
     """({rotor: servo output}, sentences on assumptions), both numbered from 1.
 
     pwm: servo output -> its logged pulse widths [us]; only used when neither SERVOn_FUNCTION nor the frame are known."""
@@ -78,10 +71,7 @@ def outputs(
             # An output drives one rotor: of two parameters for it, the one with a bit error is damaged.
             twice = {k: k for k, output in mapped.items() if output in free and not functions.get(k)}
             mapped |= free | twice
-            notes.append(
-                f"The log does not say which output drives motors {_listed(missing)}; "
-                "outputs of the same number were assumed."
-            )
+            notes.append(f"The log does not say which output drives motors {_listed(missing)}; outputs of the same number were assumed.")
         return {k: mapped[k] for k in expected if k in mapped}, notes
     if mapped:
         return dict(sorted(mapped.items())), notes
@@ -98,9 +88,7 @@ def outputs(
         return {k: k for k in expected}, notes
     moving = [k for k, u in sorted(pwm.items()) if np.unique(u[(u > 500) & (u < 2600)]).size > 1]
     if moving:
-        notes.append(
-            f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors."
-        )
+        notes.append(f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors.")
     return {rotor + 1: output for rotor, output in enumerate(moving)}, notes
 
 

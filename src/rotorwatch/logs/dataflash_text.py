@@ -108,9 +108,7 @@ class TextLog:
         table = self.table(name, wanted, where)
         return None if table is None else table.numbers(wanted)
 
-    def table(
-        self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None
-    ) -> Table | None:
+    def table(self, name: str, wanted: Iterable[str] | None = None, where: tuple[str, int] | None = None) -> Table | None:
         """Columns of all records called `name`; None when there are none. See `BinaryLog.table`.
 
         Numbers are float64, NaN where a field is missing or not a number."""

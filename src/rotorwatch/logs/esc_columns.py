@@ -53,10 +53,7 @@ def numbered(time, table, prefix: str, fields: dict[str, str], order: Sequence[i
     """`build` from a table with a field of each quantity for each ESC, speeds in revolutions per minute.
 
     prefix: of a field's name, "esc[{}]." of "esc[2].esc_rpm"; fields: quantity -> the rest of it; order: the ESCs, rotor after rotor."""
-    measured = {
-        quantity: series.stacked(table, [f"{prefix.format(k)}{field}" for k in order])
-        for quantity, field in fields.items()
-    }
+    measured = {quantity: series.stacked(table, [f"{prefix.format(k)}{field}" for k in order]) for quantity, field in fields.items()}
     measured["speed"] = measured["speed"] * RPM
     # A driver without a quantity leaves it 0 for all.
     for quantity in ("current", "temperature"):
@@ -70,9 +67,7 @@ def names(rotors: Sequence[int]) -> tuple[str, ...]:
     return tuple(f"{quantity}{rotor}" for quantity in QUANTITIES for rotor in rotors)
 
 
-def together(
-    reports: Sequence[tuple[np.ndarray, dict[str, np.ndarray]] | None], rotors, source, notes
-) -> Signal | None:
+def together(reports: Sequence[tuple[np.ndarray, dict[str, np.ndarray]] | None], rotors, source, notes) -> Signal | None:
     """`build` from ESCs that report one after the other: for each rotor (time (m,) s, quantity -> (m,)) in order of time, or None.
 
     Rows are the reports of the ESC that reports most; another's report goes into the row nearest in time, within the interval between

@@ -89,9 +89,7 @@ def flight(found: Mapping[str, Table], notes: list[str], form: str) -> Flight:
     notes += impossible
     signals, facts = _signals(log, parameters, autopilot)
     if "motors" not in signals:
-        notes.append(
-            "the bag has no motor commands: record /mavros/rc/out, and have the autopilot stream SERVO_OUTPUT_RAW"
-        )
+        notes.append("the bag has no motor commands: record /mavros/rc/out, and have the autopilot stream SERVO_OUTPUT_RAW")
     if not parameters:
         notes.append("parameters are not in this bag; --vehicle FILE describes the airframe")
     end = series.end_of(signals)
@@ -122,9 +120,7 @@ class _Log:
         # An IMU's or a battery's topic alone may be any robot's.
         spaces = {s: t for s, t in spaces.items() if {_OUTPUTS, "state", "extended_state", "vfr_hud"} & set(t)}
         if not spaces:
-            raise LogError(
-                "this bag holds no topic of mavros that says what an autopilot did (record /mavros/rc/out, /mavros/state)"
-            )
+            raise LogError("this bag holds no topic of mavros that says what an autopilot did (record /mavros/rc/out, /mavros/state)")
         chosen = max(sorted(spaces), key=lambda s: (_OUTPUTS in spaces[s], sum(len(t) for t, _ in spaces[s].values())))
         if len(spaces) > 1:
             others = ", ".join(sorted(s for s in spaces if s != chosen))
@@ -186,10 +182,7 @@ def _signals(log: _Log, parameters, autopilot: str) -> tuple[dict, dict]:
         "accel": series.fastest(*(log.signal("accel", name, pushing) for name in ("imu/data_raw", "imu/data"))),
         "attitude": log.signal("attitude", "imu/data", lambda t: _quaternion(t, "orientation"), "mavros attitude"),
         "attitude_wanted": log.signal(
-            "attitude_wanted",
-            "setpoint_raw/target_attitude",
-            lambda t: _quaternion(t, "orientation"),
-            "mavros attitude_wanted",
+            "attitude_wanted", "setpoint_raw/target_attitude", lambda t: _quaternion(t, "orientation"), "mavros attitude_wanted"
         ),
         "velocity": log.signal("velocity", odom, _odometry)
         if odom

@@ -62,9 +62,7 @@ def check_names(names) -> None:
         raise LogError(f"unknown column {_list(unknown)}; docs/readers.md lists the names, units are part of them")
 
 
-def from_arrays(
-    columns, *, parameters: Mapping[str, float] | None = None, name: str = "", autopilot: str = ""
-) -> Flight:
+def from_arrays(columns, *, parameters: Mapping[str, float] | None = None, name: str = "", autopilot: str = "") -> Flight:
     """Build a Flight from columns with the names of docs/readers.md.
 
     columns: a mapping of names to equally long sequences, or a pandas or polars data frame. NaN means no sample.
@@ -86,9 +84,7 @@ def from_arrays(
             signals[kind] = signal
     signals |= _rotors(time, table, notes)
     if not signals:
-        raise LogError(
-            "no signal is in this table; it needs at least motor_1 .. motor_N and gyro_x_rad_s .. gyro_z_rad_s"
-        )
+        raise LogError("no signal is in this table; it needs at least motor_1 .. motor_N and gyro_x_rad_s .. gyro_z_rad_s")
     messages = _messages(time, table)
     return Flight(
         format="arrays",

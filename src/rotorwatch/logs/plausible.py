@@ -143,9 +143,7 @@ def possible(flight: Flight) -> Flight:
             if all((np.abs(signal.values[k : k + PIECE]) <= most).all() for k in parts):
                 continue
         source = signal.source or name
-        one = series.build(
-            signal.time, signal.values, signal.columns, signal.unit, signal.frame, source, limit, notes, signal.valid
-        )
+        one = series.build(signal.time, signal.values, signal.columns, signal.unit, signal.frame, source, limit, notes, signal.valid)
         signals.pop(name)
         if one is not None:
             signals[name] = one
@@ -158,9 +156,7 @@ def possible(flight: Flight) -> Flight:
 def _limit(name: str, signal: Signal):
     """The largest plausible absolute value, of all columns or of each."""
     if name == "esc":
-        return np.array(
-            [max(map(abs, esc_columns.LIMITS.get(c.rstrip("0123456789"), (np.inf,)))) for c in signal.columns]
-        )
+        return np.array([max(map(abs, esc_columns.LIMITS.get(c.rstrip("0123456789"), (np.inf,)))) for c in signal.columns])
     return series.MOTORS.get(signal.unit, np.inf) if name == "motors" else series.SHAPES.get(name, (np.inf,))[-1]
 
 
@@ -181,9 +177,7 @@ def _whole_records(motors: Signal) -> tuple[Signal, list[str]]:
     cleaned[at] = False
     when = ", ".join(f"{t:.1f} s" for t in motors.time[at[:NAMED]]) + (" and later" if at.size > NAMED else "")
     what = "record in which most outputs are" if at.size == 1 else "records in which most outputs are"
-    return replace(motors, valid=cleaned), [
-        f"motors ({motors.source}): {at.size} {what} no command dropped, at {when}."
-    ]
+    return replace(motors, valid=cleaned), [f"motors ({motors.source}): {at.size} {what} no command dropped, at {when}."]
 
 
 def _unsupported(name: str, signals: Mapping[str, Signal], sizes: Mapping[str, Lone]) -> np.ndarray:
@@ -240,9 +234,7 @@ def lone(time, values, floor: float, valid=None) -> np.ndarray:
 
     floor: the least deviation that counts. valid: (n, k) bool, the values to check (default: all that are finite)."""
     values = np.asarray(values, float)
-    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor).marked(
-        values.shape
-    )
+    return _size(np.asarray(time, float), values, np.isfinite(values) if valid is None else valid, floor).marked(values.shape)
 
 
 class Lone(NamedTuple):

@@ -14,10 +14,7 @@ from rotorwatch.logs import px4_outputs, px4_reports, series, wall_clock
 
 TOPICS = (
     *"actuator_armed actuator_controls_0 actuator_motors actuator_outputs battery_status esc_status sensor_combined sensor_gps".split(),
-    *(
-        f"vehicle_{name}"
-        for name in "acceleration angular_velocity attitude attitude_setpoint gps_position land_detected".split()
-    ),
+    *(f"vehicle_{name}" for name in "acceleration angular_velocity attitude attitude_setpoint gps_position land_detected".split()),
     *(f"vehicle_{name}" for name in "local_position rates_setpoint status thrust_setpoint torque_setpoint".split()),
     *px4_reports.TOPICS,
 )
@@ -118,9 +115,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         "velocity": topics.signal(
             "velocity", "vehicle_local_position", ["vx", "vy", "vz"], valid=["v_xy_valid", "v_xy_valid", "v_z_valid"]
         ),
-        "position": topics.signal(
-            "position", "vehicle_local_position", ["x", "y", "z"], valid=["xy_valid", "xy_valid", "z_valid"]
-        ),
+        "position": topics.signal("position", "vehicle_local_position", ["x", "y", "z"], valid=["xy_valid", "xy_valid", "z_valid"]),
         "battery": battery,
         "gps": _gps(topics),
         "esc": _esc(topics, parameters),
@@ -132,9 +127,7 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
     if signals_["control"] is not None:
         thrust = signals_["control"]
         valid = None if thrust.valid is None else thrust.valid[:, 3:]
-        signals_["throttle"] = series.signal(
-            "throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid
-        )
+        signals_["throttle"] = series.signal("throttle", thrust.time, thrust.values[:, 3:], thrust.source, topics.notes, valid)
     return {k: v for k, v in signals_.items() if v is not None}, facts | {"utc_start": _utc_start(topics)}
 
 

@@ -14,17 +14,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import (
-    bag_storage,
-    cdr,
-    container,
-    mavros,
-    px4_reports,
-    px4_topics,
-    ros2_definitions,
-    series,
-    wall_clock,
-)
+from rotorwatch.logs import bag_storage, cdr, container, mavros, px4_reports, px4_topics, ros2_definitions, series, wall_clock
 from rotorwatch.logs.container import open_log
 
 FORMAT = "ROS 2 bag"
@@ -137,11 +127,7 @@ def tables(bag: bag_storage.Bag) -> dict[str, tuple[np.ndarray, dict[str, np.nda
         columns, rows = _decoded(topic)
         lost = len(topic.payloads) - rows.size
         if not rows.size:
-            what = (
-                "its messages do not match their definition"
-                if topic.definition
-                else "the bag does not carry its definition"
-            )
+            what = "its messages do not match their definition" if topic.definition else "the bag does not carry its definition"
             if topic.definition or (at := place(topic.name)) is None or at[1] not in px4_reports.TOPICS:
                 bag.notes.append(f"{topic.name} was skipped: {what}")
             continue
@@ -179,9 +165,7 @@ def _flight(bag: bag_storage.Bag) -> Flight:
         why = "; ".join(bag.notes) or "no message was recorded"
         raise LogError(f"this bag holds topics of PX4 or mavros, but none could be read ({why})")
     names = ", ".join(sorted(bag.others)[:3]) or "none at all"
-    raise LogError(
-        f"this file holds no ROS 2 topic of PX4 (px4_msgs, /fmu/out/..) or of mavros (/mavros/..); its topics are {names}"
-    )
+    raise LogError(f"this file holds no ROS 2 topic of PX4 (px4_msgs, /fmu/out/..) or of mavros (/mavros/..); its topics are {names}")
 
 
 def _px4_flight(found, notes: list[str]) -> Flight:
@@ -204,9 +188,7 @@ def _px4_flight(found, notes: list[str]) -> Flight:
     first = {key: int(s[series.steady(s * 1e-6)[0]]) for key, s in stamps.items() if s.size}
     often = [t for key, t in first.items() if stamps[key].size >= _ENOUGH]
     start = min(often or first.values())
-    topics = px4_topics.Topics(
-        {key: {**columns, "timestamp": stamps[key]} for key, (_, columns) in parts.items()}, start
-    )
+    topics = px4_topics.Topics({key: {**columns, "timestamp": stamps[key]} for key, (_, columns) in parts.items()}, start)
     signals, facts = px4_topics.signals(topics, {})
     if "motors" not in signals:
         notes.append(

@@ -43,11 +43,7 @@ def fits(kind: str, columns: Mapping[str, np.ndarray]) -> bool:
             q = np.stack([columns[f"{name}[{k}]"] for k in range(4)], axis=1).astype(np.float64)
             with np.errstate(invalid="ignore", over="ignore"):
                 return _mostly(np.abs((q * q).sum(axis=1) - 1.0) < 0.05)
-    flags = [
-        c
-        for n, c in columns.items()
-        if n.endswith("_valid") or n in ("connected", "landed", "freefall", "maybe_landed", "armed")
-    ]
+    flags = [c for n, c in columns.items() if n.endswith("_valid") or n in ("connected", "landed", "freefall", "maybe_landed", "armed")]
     if not all(_mostly(c <= 1) for c in flags):
         return False
     if "voltage_filtered_v" in columns:  # a filtered voltage is near the voltage, a current is not

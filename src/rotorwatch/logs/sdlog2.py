@@ -75,9 +75,7 @@ class _Tables:
     def get(self, message, *columns):
         """(time s (n,), values (n, k)) of a message that has all the columns, else None."""
         table = self.log.table(message, columns)
-        if table is None or any(
-            c not in table or table[c].ndim > 1 or table[c].dtype.kind not in "iuf" for c in columns
-        ):
+        if table is None or any(c not in table or table[c].ndim > 1 or table[c].dtype.kind not in "iuf" for c in columns):
             return None
         time, good = self.clock.of(table.record)
         values = np.stack([table[c].astype(float) for c in columns], axis=1)
@@ -131,9 +129,7 @@ def _attitude(tables: _Tables):
     if sample is None:
         return None
     fine = np.all(np.abs(sample[1]) < 7.0, axis=1)
-    return series.signal(
-        "attitude", sample[0], series.quaternion(*np.where(fine[:, None], sample[1], 0.0).T), "ATT", tables.notes, fine
-    )
+    return series.signal("attitude", sample[0], series.quaternion(*np.where(fine[:, None], sample[1], 0.0).T), "ATT", tables.notes, fine)
 
 
 def _messages(tables: _Tables) -> tuple[Message, ...]:

@@ -184,13 +184,7 @@ def quaternion(roll, pitch, yaw) -> np.ndarray:
         cr, cp, cy = map(np.cos, half)
         sr, sp, sy = map(np.sin, half)
     return np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=-1,
+        [cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy], axis=-1
     )
 
 

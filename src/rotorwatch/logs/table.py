@@ -55,6 +55,4 @@ def _parquet(data) -> dict[str, np.ndarray]:
 
 def _is_number(types, kind) -> bool:
     """Texts and lists are of any length."""
-    return any(
-        of(kind) for of in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
-    )
+    return any(of(kind) for of in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null))

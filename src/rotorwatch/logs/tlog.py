@@ -13,15 +13,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.output_functions import in_order, motor_outputs
 from rotorwatch.flight.vehicle_kind import OTHERS
-from rotorwatch.logs import (
-    mavlink_esc,
-    mavlink_frames,
-    mavlink_messages,
-    parameter_ranges,
-    px4_outputs,
-    series,
-    wall_clock,
-)
+from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, parameter_ranges, px4_outputs, series, wall_clock
 from rotorwatch.logs.dataflash_clock import make_clock
 from rotorwatch.logs.dataflash_text import MODES
 from rotorwatch.logs.px4_topics import MAV_TYPES, custom_mode
@@ -35,23 +27,12 @@ _NO_AUTOPILOT = 8
 _ARMED = 0x80  # HEARTBEAT.base_mode
 _SIMULATOR = {"SIMSTATE", "SIM_STATE", "HIL_STATE", "HIL_STATE_QUATERNION"}  # ground truth: never decoded
 UNTIMED = {
-    *{
-        "HEARTBEAT",
-        "SYS_STATUS",
-        "BATTERY_STATUS",
-        "VFR_HUD",
-        "STATUSTEXT",
-        "PARAM_VALUE",
-        "EXTENDED_SYS_STATE",
-        "EKF_STATUS_REPORT",
-    },
+    *{"HEARTBEAT", "SYS_STATUS", "BATTERY_STATUS", "VFR_HUD", "STATUSTEXT", "PARAM_VALUE", "EXTENDED_SYS_STATE", "EKF_STATUS_REPORT"},
     *mavlink_esc.TELEMETRY,
 }
 _UNIX_US = 1e14  # larger time stamps count from 1970, smaller ones from the autopilot's start
 _WRAP_US = 2.0**32  # SERVO_OUTPUT_RAW.time_usec starts again there
-_SAME_MOMENT_US = (
-    10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
-)
+_SAME_MOMENT_US = 10e6  # between two messages of the same moment; a stamp further from its neighbours in the file is damaged
 _FIX_3D, _UNKNOWN = 3, 65535  # of GPS_RAW_INT
 _MG = G0 / 1000
 
@@ -213,15 +194,7 @@ BANK = 16  # outputs of each of its ports
 AXES, TURNS, PUSH = ("xgyro", "ygyro", "zgyro"), ("rollspeed", "pitchspeed", "yawspeed"), ("xacc", "yacc", "zacc")
 IMUS = ("SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
 ATTITUDES = ("ATTITUDE", "ATTITUDE_QUATERNION")
-PARTS = {
-    0x1: "gyro",
-    0x2: "accelerometer",
-    0x4: "compass",
-    0x20: "GPS",
-    0x10000: "radio",
-    0x200000: "estimate",
-    0x2000000: "battery",
-}
+PARTS = {0x1: "gyro", 0x2: "accelerometer", 0x4: "compass", 0x20: "GPS", 0x10000: "radio", 0x200000: "estimate", 0x2000000: "battery"}
 """Bits of MAV_SYS_STATUS_SENSOR that are read."""
 CRITICAL = 5  # MAV_STATE: a failsafe is active
 VIBES = ("vibration_x", "vibration_y", "vibration_z")
@@ -280,10 +253,7 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
         return by(kind, name, lambda table: _columns(table, fields) * scale)
 
     return {
-        "motors": (
-            Reading(MOTORS, lambda log: _motors(log, outputs)),
-            Reading(STATUS, lambda log: _actuators(log, outputs)),
-        ),
+        "motors": (Reading(MOTORS, lambda log: _motors(log, outputs)), Reading(STATUS, lambda log: _actuators(log, outputs))),
         # At equal speed the attitude's rates are preferred: they are filtered, where an IMU's samples that far apart alias its vibration;
         # those of RAW_IMU come in steps of 1 mrad/s besides.
         "gyro": (
@@ -294,17 +264,12 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
         "rates": tuple(of("rates", name, TURNS) for name in ATTITUDES),
         "accel": (of("accel", "HIGHRES_IMU", PUSH), *(of("accel", name, PUSH, _MG) for name in IMUS)),
         "attitude": (by("attitude", "ATTITUDE", _angles), by("attitude", "ATTITUDE_QUATERNION", _quaternions)),
-        "attitude_wanted": (
-            by("attitude_wanted", "ATTITUDE_TARGET", lambda table: series.unit_quaternion(table["q"])),
-        ),
+        "attitude_wanted": (by("attitude_wanted", "ATTITUDE_TARGET", lambda table: series.unit_quaternion(table["q"])),),
         "velocity": (
             of("velocity", "LOCAL_POSITION_NED", ("vx", "vy", "vz")),
             of("velocity", "GLOBAL_POSITION_INT", ("vx", "vy", "vz"), 0.01),
         ),
-        "position": (
-            of("position", "LOCAL_POSITION_NED", ("x", "y", "z")),
-            by("position", "GLOBAL_POSITION_INT", _height),
-        ),
+        "position": (of("position", "LOCAL_POSITION_NED", ("x", "y", "z")), by("position", "GLOBAL_POSITION_INT", _height)),
         "gps": (
             Reading("GPS_RAW_INT", lambda log: _gps(log, "GPS_RAW_INT")),
             Reading("GLOBAL_POSITION_INT", lambda log: _gps(log, "GLOBAL_POSITION_INT")),
@@ -314,10 +279,7 @@ def readings(outputs: Outputs) -> dict[str, tuple[Reading, ...]]:
         # PX4 sends coning and the gyro's vibration in the fields of x and y, which are below 1.
         "vibration": (by("vibration", "VIBRATION", lambda table: _columns(table, VIBES).max(axis=1)),),
         "clipping": (of("clipping", "VIBRATION", ("clipping_0",)),),
-        "innovations": (
-            of("innovations", "EKF_STATUS_REPORT", VARIANCES),
-            of("innovations", "ESTIMATOR_STATUS", RATIOS),
-        ),
+        "innovations": (of("innovations", "EKF_STATUS_REPORT", VARIANCES), of("innovations", "ESTIMATOR_STATUS", RATIOS)),
     }
 
 
@@ -381,10 +343,7 @@ def _px4_motors(log: _Log, parameters: Mapping[str, float]) -> tuple[Signal | No
     count, readings_ = rotor_count(log, parameters), []
     known = "CA_ROTOR_COUNT" in parameters or bool(motor_outputs(parameters))
     for source, instances in ((MOTORS, _ports(log)), (STATUS, [_status(log)])):
-        tried = (
-            px4_outputs.best(((source, one) for one in instances), parameters, n)
-            for n in ((count,) if known else (0, count))
-        )
+        tried = (px4_outputs.best(((source, one) for one in instances), parameters, n) for n in ((count,) if known else (0, count)))
         best = next((one for one in tried if one is not None), None)
         if best is None:
             continue

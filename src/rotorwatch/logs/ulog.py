@@ -39,9 +39,7 @@ def read(data, name: str, progress=None) -> Flight:
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
-    parameters, impossible = parameter_ranges.checked(
-        {k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)}
-    )
+    parameters, impossible = parameter_ranges.checked({k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)})
     signals, facts = px4_topics.signals(topics, parameters)
     warnings = [*notes, *impossible, *topics.notes]
     if damaged:
@@ -158,9 +156,7 @@ def _log_messages(log, start) -> list[Message]:
     out = []
     for m in texts:
         severe = m.log_level in b"0123"
-        out.append(
-            Message(max(0.0, (int(m.timestamp) - start) * 1e-6), "error" if severe else "text", m.message.strip())
-        )
+        out.append(Message(max(0.0, (int(m.timestamp) - start) * 1e-6), "error" if severe else "text", m.message.strip()))
     for gap in log.dropouts:
         seconds = gap.duration / 1000
         if seconds > 0:

@@ -14,9 +14,7 @@ from rotorwatch.logs.container import open_log
 
 FORMAT = "ulog2csv tables"
 
-_TOPIC = re.compile(
-    rf"(?:(?P<log>.*)_)?(?P<topic>{'|'.join(px4_topics.TOPICS)})_(?P<instance>\d+)\.csv(?:\.(?:xz|gz|bz2))?"
-)
+_TOPIC = re.compile(rf"(?:(?P<log>.*)_)?(?P<topic>{'|'.join(px4_topics.TOPICS)})_(?P<instance>\d+)\.csv(?:\.(?:xz|gz|bz2))?")
 
 
 def sniff(head: bytes, name: str) -> bool:
@@ -28,9 +26,7 @@ def read(data, name: str, progress=None) -> Flight:
     """Read a single table of a set; its file name says which topic it is."""
     match = _TOPIC.fullmatch(name)
     if match is None:
-        raise LogError(
-            f"{name}: a ulog2csv table is named <log>_<topic>_<instance>.csv, with a topic that is read here"
-        )
+        raise LogError(f"{name}: a ulog2csv table is named <log>_<topic>_<instance>.csv, with a topic that is read here")
     notes: list[str] = []
     table = _integer_stamps(memory.numbers(data, notes, name))
     return _flight({(match["topic"], int(match["instance"])): table}, notes)
@@ -48,9 +44,7 @@ def read_folder(path: Path, progress=None) -> Flight:
     files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := _TOPIC.fullmatch(p.name))}
     logs = sorted({m["log"] or "" for m in files.values()})
     if len(logs) > 1:
-        raise LogError(
-            f"{path}: tables of {len(logs)} logs ({logs[0]}, {logs[1]} ..); give each log a folder of its own"
-        )
+        raise LogError(f"{path}: tables of {len(logs)} logs ({logs[0]}, {logs[1]} ..); give each log a folder of its own")
     notes: list[str] = []
     tables = {}
     for done, (file, match) in enumerate(files.items()):

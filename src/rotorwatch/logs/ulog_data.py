@@ -83,9 +83,7 @@ def messages(data: Any, wanted: Collection[str]) -> Messages | None:
     if np.isin(kinds[:begins], [*(KNOWN - DEFINES)]).any() or np.isin(kinds[begins:], [*ONLY_BEFORE]).any():
         return None
     try:
-        formats = dict(
-            _format(raw[places[k] : places[k] + sizes[k]].tobytes()) for k in np.flatnonzero(kinds == ord("F"))
-        )
+        formats = dict(_format(raw[places[k] : places[k] + sizes[k]].tobytes()) for k in np.flatnonzero(kinds == ord("F")))
     except ValueError:
         return None
     flags = np.flatnonzero(kinds == ord("B"))

@@ -18,10 +18,7 @@ LEAP = (
     (datetime(2015, 7, 1, tzinfo=timezone.utc), 17),
     (datetime(2017, 1, 1, tzinfo=timezone.utc), 18),
 )
-EARLIEST, LATEST = (
-    datetime(2008, 1, 1, tzinfo=timezone.utc).timestamp(),
-    datetime(2100, 1, 1, tzinfo=timezone.utc).timestamp(),
-)
+EARLIEST, LATEST = (datetime(2008, 1, 1, tzinfo=timezone.utc).timestamp(), datetime(2100, 1, 1, tzinfo=timezone.utc).timestamp())
 AGREE_S = 2.0  # most samples must agree on the start within this
 
 
@@ -29,9 +26,7 @@ def of_gps(week, milliseconds) -> np.ndarray:
     """(n,) s since 1970 UTC from GPS week and ms of that week."""
     since = np.asarray(week, float) * WEEK_S + np.asarray(milliseconds, float) * 1e-3
     unix = GPS_EPOCH.timestamp() + since
-    return unix - np.select(
-        [unix >= day.timestamp() + leap for day, leap in reversed(LEAP)], [n for _, n in reversed(LEAP)], 13
-    )
+    return unix - np.select([unix >= day.timestamp() + leap for day, leap in reversed(LEAP)], [n for _, n in reversed(LEAP)], 13)
 
 
 def start(time, unix) -> str | None:

@@ -107,10 +107,7 @@ def baseline(diagnosis: Diagnosis) -> str:
     if shift and sd:
         reach = max(max(abs(float(v)), 2.5 * float(s)) for v, s in zip(shift, sd, strict=True))
         names = ("roll", "pitch", "yaw")
-        band = [
-            (name, -2.0 * s, v, 2.0 * s, colours.INK)
-            for name, v, s in zip(names, map(float, shift), map(float, sd), strict=True)
-        ]
+        band = [(name, -2.0 * s, v, 2.0 * s, colours.INK) for name, v, s in zip(names, map(float, shift), map(float, sd), strict=True)]
         title = "Balance: torque per thrust, less that of the healthy flights; bar: where healthy flights lie (95 %)"
         out += _rows(title, band, -reach, reach, "{:+.3f}".format)
     return f'<div class="pictures">{out}</div>'

@@ -114,10 +114,7 @@ def followed(series: Series, x_range, kind: str, unit: str, pairs: dict[str, np.
 
     pairs: "actual", "wanted" -> (T, 3).
     """
-    style = {
-        "actual": dict(color="#2b83ba", line_width=1.6),
-        "wanted": dict(color=INK, line_width=1.3, line_dash="dashed"),
-    }
+    style = {"actual": dict(color="#2b83ba", line_width=1.6), "wanted": dict(color=INK, line_width=1.3, line_dash="dashed")}
     for name, values in pairs.items():
         for i, axis in enumerate(ANGLES):
             series.line(f"{name}_{axis}", values[:, i])
@@ -135,17 +132,12 @@ def _shades(trace: Trace) -> list[Any]:
     from bokeh.models import BoxAnnotation
 
     grey: dict[str, Any] = dict(fill_color=INK, fill_alpha=0.20, line_color=None)
-    hatch: dict[str, Any] = dict(
-        hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0
-    )
+    hatch: dict[str, Any] = dict(hatch_pattern="right_diagonal_line", hatch_color=INK, hatch_alpha=0.35, hatch_scale=10.0)
     edges = [float(trace.time[0]), *(t for span in trace.airborne for t in span), float(trace.time[-1])]
     ground = zip(edges[::2], edges[1::2], strict=True) if trace.airborne else ()
     return [
         *(BoxAnnotation(left=start, right=end, **grey) for start, end in ground if end > start),
-        *(
-            BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch)
-            for start, end, _ in trace.blind
-        ),
+        *(BoxAnnotation(left=float(start), right=float(end), fill_color=None, line_color=None, **hatch) for start, end, _ in trace.blind),
     ]
 
 
@@ -154,9 +146,7 @@ def _marks(diagnosis: Diagnosis) -> list[Any]:
     from bokeh.models import Span
 
     return [
-        Span(
-            location=float(when), line_dash=dash, dimension="height", line_color=colours.of_event(event), line_width=1.5
-        )
+        Span(location=float(when), line_dash=dash, dimension="height", line_color=colours.of_event(event), line_width=1.5)
         for event in diagnosis.events
         for when, dash in ((event.onset_s, "dashed"), (event.detected_s, "solid"), (event.end_s, "dotted"))
         if when is not None

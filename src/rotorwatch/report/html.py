@@ -22,9 +22,7 @@ COPY = (
     '<textarea id="post" readonly hidden aria-label="Post for a forum, as Markdown" rows="8"></textarea></div>'
 )
 # The page may run its own inline scripts and styles only, and fetch nothing.
-POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
-)
+POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; font-src data:"
 
 
 def write(diagnosis: Diagnosis, path: str | os.PathLike) -> None:
@@ -64,9 +62,7 @@ def document(title: str, parts: Iterable[str]) -> str:
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         f"<title>{escape(title)} – rotorwatch</title>\n"
-        f"<style>{_own('page.css')}</style>\n</head>\n<body>\n"
-        + "\n".join(part for part in parts if part)
-        + "\n</body>\n</html>\n"
+        f"<style>{_own('page.css')}</style>\n</head>\n<body>\n" + "\n".join(part for part in parts if part) + "\n</body>\n</html>\n"
     )
 
 

@@ -68,9 +68,7 @@ _FASTER = {
         "motors": "Set SDLOG_PROFILE{4} (high rate): actuator_motors at full rate.",
         "gyro": "Set SDLOG_PROFILE{4} (high rate): vehicle_angular_velocity at full rate.",
     },
-    "blackbox": {
-        "gyro": "Set blackbox_sample_rate to 1/4 or more; before Betaflight 4.3: blackbox_p_ratio, blackbox_rate_denom."
-    },
+    "blackbox": {"gyro": "Set blackbox_sample_rate to 1/4 or more; before Betaflight 4.3: blackbox_p_ratio, blackbox_rate_denom."},
 }
 _WHY = {
     "motors": "No motor commands: without them no rotor can be assessed.",
@@ -137,9 +135,7 @@ class Obstacle(NamedTuple):
     why: str
 
 
-def obstacle(
-    flight: Flight, vehicle: Vehicle | None = None, progress: Callable[[float], object] | None = None
-) -> Obstacle | None:
+def obstacle(flight: Flight, vehicle: Vehicle | None = None, progress: Callable[[float], object] | None = None) -> Obstacle | None:
     """The first reason for which `diagnose` refuses this flight, or answers that nothing in it can be judged; None when it judges it.
 
     vehicle: the airframe, for logs that do not name theirs. progress: called with the finished share, 0..1.
@@ -199,9 +195,7 @@ def _airborne(flight: Flight) -> list[list[float]]:
 def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
     """Gaps, the one that prevents a diagnosis first. A signal counts as there with two valid samples."""
     telemetry = {"MAVLink tlog": _TELEMETRY, "ROS 2 bag": _BAG}.get(flight.format)
-    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE, "blackbox": _BLACKBOX}.get(
-        _family(flight), {}
-    )
+    settings = {"ardupilot": _ARDUPILOT, "px4": _PX4, "crazyflie": _CRAZYFLIE, "blackbox": _BLACKBOX}.get(_family(flight), {})
     gaps = []
     for name, why in _WHY.items():
         if _present(flight, name) or (name == "gyro" and _present(flight, "rates")):
@@ -217,15 +211,7 @@ def _missing(flight: Flight, frame: str, stop: Obstacle | None) -> list[dict]:
         if not _present(flight, name):
             continue
         if _family(flight) == "blackbox" and max(rates) < 0.99 * FAST_BLACKBOX_HZ:
-            gaps.append(
-                _gap(
-                    name,
-                    f"Gyro at {max(rates):.3g} Hz: short events such as desyncs can be missed.",
-                    setting,
-                    False,
-                    True,
-                )
-            )
+            gaps.append(_gap(name, f"Gyro at {max(rates):.3g} Hz: short events such as desyncs can be missed.", setting, False, True))
         elif max(rates) < FAST_HZ:
             often = f"assessed every {tick_length(max(rates)):g} s; faster logging detects a loss sooner"
             gaps.append(_gap(name, f"{name.capitalize()} at {max(rates):.3g} Hz: {often}.", setting, False, True))

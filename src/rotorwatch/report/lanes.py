@@ -149,9 +149,7 @@ def _lane(name: str, values: np.ndarray, source, x_range, last: bool) -> Any:
     room = 0.06 * (high - low) + max(0.0, 0.5 * (LEAST_SPAN[name] - (high - low)))
     top = 1.3 * high if len(lines) > 1 else high  # room for the legend
     y_range = Range1d(start=low if name in FROM_ZERO else low - room, end=top + room)
-    p = stacked(
-        name, last, x_range, label, [(part, f"@{name}{part}{{0.0}} {unit}") for part, *_ in lines], y_range=y_range
-    )
+    p = stacked(name, last, x_range, label, [(part, f"@{name}{part}{{0.0}} {unit}") for part, *_ in lines], y_range=y_range)
     drawn = []
     for part, tint, dash in lines:
         look: dict[str, Any] = dict(color=tint, line_dash=dash, line_width=1.6, name=part or name)
@@ -203,11 +201,7 @@ def summary(trace: Trace) -> dict[str, str]:
     if "voltage" in seen:
         first, last, least = (float(v) for v in (seen["voltage"][0, 0], seen["voltage"][-1, 0], seen["voltage"].min()))
         steady = max(first, last) - least < 0.1
-        out["battery"] = (
-            f"{first:.1f} V"
-            if steady
-            else f"{first:.1f} V at lift-off, {last:.1f} V at the end, never below {least:.1f} V"
-        )
+        out["battery"] = f"{first:.1f} V" if steady else f"{first:.1f} V at lift-off, {last:.1f} V at the end, never below {least:.1f} V"
     if "current" in seen:
         out["current"] = f"{float(seen['current'].mean()):.1f} A on average, up to {float(seen['current'].max()):.1f} A"
     if "vibration" in seen:

@@ -40,13 +40,7 @@ SIZES = (
 )  # fmt: skip
 
 
-def text(
-    diagnosis: Diagnosis,
-    identify: bool = False,
-    picture: str | None = None,
-    parts: Sequence[Part] = (),
-    most: int = MOST,
-) -> str:
+def text(diagnosis: Diagnosis, identify: bool = False, picture: str | None = None, parts: Sequence[Part] = (), most: int = MOST) -> str:
     """The post. identify: with the aircraft's serial number, the time of day, and texts as they are in the log; picture: name of the file
     that it shows; parts: as `prepared` made them, of a diagnosis that has lost its trace since; most: letters."""
     about = _About(diagnosis, identify, parts or prepared(diagnosis))
@@ -83,11 +77,7 @@ class Written(NamedTuple):
 
 
 def write(
-    diagnosis: Diagnosis,
-    path: str | os.PathLike,
-    identify: bool = False,
-    picture: bytes | None = None,
-    parts: Sequence[Part] = (),
+    diagnosis: Diagnosis, path: str | os.PathLike, identify: bool = False, picture: bytes | None = None, parts: Sequence[Part] = ()
 ) -> Written:
     """Write the post to `path`, and the picture that it shows beside it, as a PNG of the same name. picture, parts: made before, of a
     diagnosis that has lost its trace since. Raises ConfigError where the place cannot be written to."""
@@ -205,9 +195,7 @@ class _About:
         left = len(block.rows) - len(chosen)
         are = f"{block.noun} is" if left == 1 else f"{block.noun}s are"
         rows = ([self._cell(cell) for cell in block.rows[k]] for k in chosen)
-        return table([self.own(name, 60) for name in block.head], rows) + (
-            f"\n\n{left} more {are} not shown." if left else ""
-        )
+        return table([self.own(name, 60) for name in block.head], rows) + (f"\n\n{left} more {are} not shown." if left else "")
 
     def _what_flew(self) -> str:
         facts = self.diagnosis.flight
@@ -284,13 +272,7 @@ class Several:
     rows: overview.Rows = field(default_factory=overview.Rows)
     sections: list[_Section] = field(default_factory=list)
 
-    def add(
-        self,
-        row: overview.Row,
-        diagnosis: Diagnosis | None = None,
-        parts: Sequence[Part] = (),
-        picture: bytes | None = None,
-    ) -> None:
+    def add(self, row: overview.Row, diagnosis: Diagnosis | None = None, parts: Sequence[Part] = (), picture: bytes | None = None) -> None:
         """A log's row, and its answer, where it has one. picture: PNG."""
         self.rows.add(row)
         if diagnosis is not None:

@@ -33,10 +33,7 @@ PRIVATE = tuple(
         (rf"(?<![0-9A-Za-z]){HEX}{{8}}-(?:{HEX}{{4}}-){{3}}{HEX}{{12}}(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z]){HEX}{{8}}(?:[ _-]{HEX}{{8}})+(?![0-9A-Za-z])", HIDDEN),
         (rf"(?<![0-9A-Za-z])(?=\w*\d){HEX}{{12,}}(?![0-9A-Za-z])", HIDDEN),
-        (
-            r"\b((?:serial|s/n|sn|uid|uuid|unique id)(?: ?(?:number|no\.?))?\s*[:=#]?\s*)(?=\w*\d)[\w-]{4,}",
-            rf"\g<1>{HIDDEN}",
-        ),
+        (r"\b((?:serial|s/n|sn|uid|uuid|unique id)(?: ?(?:number|no\.?))?\s*[:=#]?\s*)(?=\w*\d)[\w-]{4,}", rf"\g<1>{HIDDEN}"),
         (r"\b((?:lat|lon|lng|latitude|longitude)\s*[:=]?\s*)[-+]?\d[\d.]*", rf"\g<1>{HIDDEN}"),
         # latitudes; no number of rotorwatch's own sentences has so many digits
         (r"[-+]?(?<![\d.])\d{1,3}\.\d{4,}", HIDDEN),
@@ -44,9 +41,7 @@ PRIVATE = tuple(
     )
 )
 # Of texts of the autopilot also whole numbers as long as latitudes in 1e-7 degrees and as serial numbers, and coarse positions.
-LOGGED = re.compile(
-    r"[-+]?(?<!\w)\d{7,}(?!\w)|[-+]?\d{1,3}\.\d+ ?[NSEW]\b|[-+]?\d{1,3}\.\d{2,}\s*[,;/ ]\s*[-+]?\d{1,3}\.\d{2,}"
-)
+LOGGED = re.compile(r"[-+]?(?<!\w)\d{7,}(?!\w)|[-+]?\d{1,3}\.\d+ ?[NSEW]\b|[-+]?\d{1,3}\.\d{2,}\s*[,;/ ]\s*[-+]?\d{1,3}\.\d{2,}")
 
 
 def escaped(text: object, most: int = 600) -> str:

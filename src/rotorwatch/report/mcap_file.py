@@ -131,10 +131,7 @@ def _series(trace: Trace) -> dict[str, tuple[list[str], np.ndarray]]:
         "residuals": ([*AXES, *(f"{axis}_sd" for axis in AXES)], np.column_stack([trace.residual, trace.residual_sd])),
         "motors": (rotors, trace.command),
     }
-    for topic, flown, wanted in (
-        ("attitude", trace.attitude, trace.wanted),
-        ("rates", trace.rates, trace.rates_wanted),
-    ):
+    for topic, flown, wanted in (("attitude", trace.attitude, trace.wanted), ("rates", trace.rates, trace.rates_wanted)):
         there = {prefix: values for prefix, values in (("", flown), ("wanted_", wanted)) if values is not None}
         if there:
             names = [f"{prefix}{axis}" for prefix in there for axis in ANGLES]

@@ -44,11 +44,7 @@ def limits(series: Iterable[MethodSeries], truth: Truths | None = None) -> tuple
 
 
 def drawn(
-    s: MethodSeries,
-    x_range: Any,
-    looks: Mapping[str, tuple[str, str]],
-    y_limits: tuple[float, float],
-    true: np.ndarray | None = None,
+    s: MethodSeries, x_range: Any, looks: Mapping[str, tuple[str, str]], y_limits: tuple[float, float], true: np.ndarray | None = None
 ) -> dict[str, Any]:
     """Bokeh figures of one method by name: loss, then states x_.. and innovations e_.., one below the other on one time axis."""
     from bokeh.models import ColumnDataSource, Range1d
@@ -60,10 +56,7 @@ def drawn(
     def put(name: str, value: np.ndarray, off: np.ndarray, scale: float = 1.0) -> None:
         value = np.where(apart, np.nan, scale * value)
         data[name] = screen.line(value)
-        data[f"{name}_low"], data[f"{name}_high"] = (
-            screen.least(value - scale * off),
-            screen.greatest(value + scale * off),
-        )
+        data[f"{name}_low"], data[f"{name}_high"] = (screen.least(value - scale * off), screen.greatest(value + scale * off))
 
     off, x_off, e_off = s.theta_off, s.off(s.x_var), s.off(s.innovation_var)
     for k in range(len(s.theta_names)):

@@ -49,9 +49,7 @@ def _moment(diagnosis: Diagnosis, picture: Any) -> None:
     """Attitude or rates wanted and flown, the commands and the speeds of every rotor, with the moments as lines."""
     facts: Any = diagnosis.picture
     followed, axes_of, unit = (
-        (facts.get("attitude"), upset.ANGLES, "deg")
-        if facts.get("attitude")
-        else (facts.get("rates"), upset.RATES, "dps")
+        (facts.get("attitude"), upset.ANGLES, "deg") if facts.get("attitude") else (facts.get("rates"), upset.RATES, "dps")
     )
     rows = [(followed, axis) for axis in axes_of] if followed else []
     speeds = facts.get("speeds")
@@ -68,22 +66,14 @@ def _moment(diagnosis: Diagnosis, picture: Any) -> None:
     share = 100.0 * _numbers(facts["commands"]["share"])
     _rotors(diagnosis, axes[len(rows)], facts["commands"]["time_s"], share, facts["accused"], "command [%]")
     if speeds:
-        _rotors(
-            diagnosis, axes[-1], speeds["time_s"], _numbers(speeds["rpm"]) / 1e3, facts["accused"], "speed [1000/min]"
-        )
+        _rotors(diagnosis, axes[-1], speeds["time_s"], _numbers(speeds["rpm"]) / 1e3, facts["accused"], "speed [1000/min]")
     for ax in axes:
         for mark in facts["marks"]:
             ax.axvline(mark["time_s"], color=upset.TINTS.get(mark["what"], colours.INK), lw=1)
     for k, mark in enumerate(facts["marks"]):
         tint = upset.TINTS.get(mark["what"], colours.INK)
         where = {"xy": (mark["time_s"], 1.0), "xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
-        axes[0].annotate(
-            f"{mark['what']} {mark['time_s']:.2f} s",
-            xytext=(2, 4 + 11 * (k % 4)),
-            color=tint,
-            fontsize="small",
-            **where,
-        )
+        axes[0].annotate(f"{mark['what']} {mark['time_s']:.2f} s", xytext=(2, 4 + 11 * (k % 4)), color=tint, fontsize="small", **where)
     axes[0].set_xlim(facts["start_s"], facts["end_s"])
     axes[-1].set_xlabel("time [s]")
 
@@ -98,9 +88,7 @@ def _flight(diagnosis: Diagnosis, picture: Any) -> None:
     named = {*colours.faulty(diagnosis), *colours.suspects(diagnosis)}
     for k in sorted(looks, key=lambda k: k in named):
         tint, dash = looks[k]
-        loss, low, high = (
-            100.0 * np.where(flying, v[:, k - 1], np.nan) for v in (trace.loss, trace.lower, trace.upper)
-        )
+        loss, low, high = (100.0 * np.where(flying, v[:, k - 1], np.nan) for v in (trace.loss, trace.lower, trace.upper))
         top.fill_between(trace.time, low, high, color=tint, alpha=0.3 if k in named else 0.07, lw=0)
         look: dict[str, Any] = {"color": tint, "ls": DASHES[dash], "lw": 2.2 if k in named else 1.0}
         top.plot(trace.time, loss, label=f"rotor {k}", **look)

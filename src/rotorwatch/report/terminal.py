@@ -57,9 +57,7 @@ def diagnosis(result: Diagnosis, verbose: bool = False) -> RenderableType:
             parts += [Text(), *(one.call("screen", one.data) or ())]
             continue
         words_ = one.blocks()
-        notes += [
-            (block.word, str(item)) for block in words_ if isinstance(block, blocks.Notes) for item in block.items
-        ]
+        notes += [(block.word, str(item)) for block in words_ if isinstance(block, blocks.Notes) for item in block.items]
         parts += _section(str(one.section.title), [block for block in words_ if not isinstance(block, blocks.Notes)])
     if result.timing:
         notes.append(("took", ", ".join(f"{words(k)} {v:.2f} s" for k, v in result.timing.items())))
@@ -141,12 +139,7 @@ class _Overview:
             "when": [row.when for row in self.rows], "aircraft": [row.aircraft for row in self.rows],
         }  # fmt: skip
         shown = ["verdict", "log", "what"]
-        shown += [
-            name
-            for width, names in ((130, ["why"]), (190, ["when", "aircraft"]))
-            if options.max_width >= width
-            for name in names
-        ]
+        shown += [name for width, names in ((130, ["why"]), (190, ["when", "aircraft"])) if options.max_width >= width for name in names]
         yield Text(self.title, style="bold")
         if folder:
             yield Text(f"all in {folder}/", style="dim", overflow="fold")
@@ -245,14 +238,7 @@ def _story(result: Diagnosis) -> list[RenderableType]:
 
 def listing(title: str, *columns: str, right: Iterable[int] = ()) -> Table:
     """An empty table with a title and columns; right: columns of numbers."""
-    table = Table(
-        title=title or None,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-        padding=(0, 1),
-    )
+    table = Table(title=title or None, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1))
     for i, name in enumerate(columns):
         number = i in set(right)
         table.add_column(name, justify="right" if number else "left", no_wrap=number, header_style="default")
@@ -300,8 +286,7 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     }
     grid = Notes((key, str(value)) for key, value in entries.items() if value not in ("", None))
     signals = [  # 99.9 % valid is not all of it
-        (s["name"], f"{s['rate_hz']:.4g} Hz", s["unit"], s["frame"], f"{int(100 * s['valid'])} %", s["source"])
-        for s in facts["signals"]
+        (s["name"], f"{s['rate_hz']:.4g} Hz", s["unit"], s["frame"], f"{int(100 * s['valid'])} %", s["source"]) for s in facts["signals"]
     ]
     head = ("signal", "rate", "unit", "frame", "valid", "source")
     parts: list[RenderableType] = [grid, Text(), Fitted("Signals", head, _cells(signals), (1, 4), short=(4,)), Text()]

@@ -18,13 +18,7 @@ class Screen:
     Peaks survive because each bucket of ticks becomes two rows that hold its extremes, in the order of its trend.
     """
 
-    def __init__(
-        self,
-        time: np.ndarray,
-        windows: list[tuple[float, float]],
-        overview: int = OVERVIEW_ROWS,
-        detail: int = DETAIL_ROWS,
-    ):
+    def __init__(self, time: np.ndarray, windows: list[tuple[float, float]], overview: int = OVERVIEW_ROWS, detail: int = DETAIL_ROWS):
         """time (T,): of the ticks. windows: stretches that get `detail` rows, all else `overview` rows, at most."""
         inside = within(time, windows)
         close, wide = (max(1.0, 2.0 * k / rows) for k, rows in ((inside.sum(), detail), ((~inside).sum(), overview)))

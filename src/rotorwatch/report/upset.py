@@ -132,9 +132,7 @@ def _rotors(diagnosis: Diagnosis, series: Mapping[str, Any], values: np.ndarray,
     accused = diagnosis.picture["accused"] if diagnosis.picture else ()
     looks = colours.looks(diagnosis, len(values))
     numbers = range(1, len(values) + 1)
-    source = ColumnDataSource(
-        {"time": np.asarray(series["time_s"], float), **{f"rotor{k}": values[k - 1] for k in numbers}}
-    )
+    source = ColumnDataSource({"time": np.asarray(series["time_s"], float), **{f"rotor{k}": values[k - 1] for k in numbers}})
     tips = [(f"rotor {k}", f"@rotor{k}{{0.0}}") for k in numbers]
     p = blank(x_range, 230, label, tips, **more)
     lines = []

@@ -115,8 +115,7 @@ async def _list(request: Request) -> Response:
     query.pop("token", None)
     if unknown := sorted(query.keys() - FILTERS):
         raise HTTPException(
-            400,
-            f"{one_line(unknown[0], 40)} is not a filter{meant(unknown[0], FILTERS)}; choose from {', '.join(FILTERS)}.",
+            400, f"{one_line(unknown[0], 40)} is not a filter{meant(unknown[0], FILTERS)}; choose from {', '.join(FILTERS)}."
         )
     filters = {name: text[:MOST_LETTERS] for name, text in query.items()}
     rows = request.app.state.flights.rows
@@ -208,9 +207,7 @@ async def _report(request: Request) -> Response:
 async def _download(request: Request) -> Response:
     row = await _of_flight(request, request.app.state.flights.row)
     text = await _of_flight(request, request.app.state.flights.report)
-    return HTMLResponse(
-        text, headers={"Content-Security-Policy": SANDBOX, "Content-Disposition": names.attachment(row["name"])}
-    )
+    return HTMLResponse(text, headers={"Content-Security-Policy": SANDBOX, "Content-Disposition": names.attachment(row["name"])})
 
 
 async def _failed(request: Request, why: Exception) -> Response:

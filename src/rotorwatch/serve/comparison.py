@@ -35,9 +35,7 @@ def _card(found: Comparison, k: int) -> str:
     flight, answer = found.flights[k], found.answers[k]
     word = f"{SYMBOLS[answer.verdict]} {report.VERDICTS[answer.verdict]}"
     at = f"/flights/{flight['hash']}"
-    picture = (
-        drawing.airframe(answer).replace("spin-tip", f"spin-tip-{LETTERS[k]}").replace(' style="', ' data-style="')
-    )
+    picture = drawing.airframe(answer).replace("spin-tip", f"spin-tip-{LETTERS[k]}").replace(' style="', ' data-style="')
     return (
         f'<section class="verdict {escape(answer.verdict)}" aria-labelledby="name-{LETTERS[k]}">'
         f'<h2 id="name-{LETTERS[k]}"><span class="letter">{LETTERS[k]}</span> <bdi>{escape(flight["name"])}</bdi></h2>'
@@ -58,9 +56,7 @@ def _table(rows: Iterable[Row], what: str) -> str:
 
 def _line(row: Row) -> str:
     mark = '<span class="mark" aria-hidden="true">≠</span><span class="unseen">differs: </span>' if row.differs else ""
-    cells = "".join(
-        f'<td role="cell" data-of="{letter}">{escape(value)}</td>' for letter, value in zip(LETTERS, row.values)
-    )
+    cells = "".join(f'<td role="cell" data-of="{letter}">{escape(value)}</td>' for letter, value in zip(LETTERS, row.values))
     kind = ' class="differs"' if row.differs else ""
     return f'<tr role="row"{kind}><th scope="row" role="rowheader">{mark}{escape(row.what)}</th>{cells}</tr>'
 
@@ -73,11 +69,7 @@ def _events(found: Comparison, k: int) -> str:
 
 
 def _event(event: Moment, letter: str, report_at: str) -> str:
-    mark = (
-        f'<span class="mark" aria-hidden="true">≠</span><span class="unseen">only in {letter}: </span>'
-        if event.alone
-        else ""
-    )
+    mark = f'<span class="mark" aria-hidden="true">≠</span><span class="unseen">only in {letter}: </span>' if event.alone else ""
     kind = ' class="differs"' if event.alone else ""
     at = f"{event.onset_s:.2f}"
     link = f'<a href="{report_at}#t={at}">see it at {at} s<span class="unseen"> in the report of {letter}</span></a>'

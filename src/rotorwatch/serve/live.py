@@ -41,9 +41,7 @@ COUNTS = ("taken", "lost", "twice", "damaged", "reboots", "jumps")
 EVENTS = 30  # newest events shown of a vehicle
 
 
-def open_source(
-    endpoint: str, notify: Notify, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool
-) -> Source:
+def open_source(endpoint: str, notify: Notify, vehicle: Vehicle | None, speed: float, record: Path | None, listen_only: bool) -> Source:
     """An endpoint of `rotorwatch watch`, or a replayed log. Raises RotorwatchError with a sentence."""
     if is_endpoint(endpoint):
         return Link(open_endpoint(endpoint), notify, vehicle, record, not listen_only, math.inf)

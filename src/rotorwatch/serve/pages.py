@@ -10,9 +10,7 @@ from rotorwatch import report
 
 OWN, SHARED = Path(__file__).parent / "page", Path(report.__file__).parent
 # Files served from the package: by name from this table, never by a path.
-FILES = {"page.css": SHARED / "page.css"} | {
-    path.name: path for path in OWN.iterdir() if path.suffix in (".css", ".js", ".svg")
-}
+FILES = {"page.css": SHARED / "page.css"} | {path.name: path for path in OWN.iterdir() if path.suffix in (".css", ".js", ".svg")}
 TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 
 

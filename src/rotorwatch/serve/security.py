@@ -44,9 +44,7 @@ def loopback(host: str) -> bool:
 def checked(host: str, token: str) -> str:
     """The token, if it is sufficient for a server on that host. Raises ConfigError."""
     if token and (len(token) < LEAST or not token.isascii() or not token.isprintable()):
-        raise ConfigError(
-            f"--token: give at least {LEAST} plain letters and digits, for instance what `openssl rand -hex 16` prints."
-        )
+        raise ConfigError(f"--token: give at least {LEAST} plain letters and digits, for instance what `openssl rand -hex 16` prints.")
     if not token and not loopback(host):
         raise ConfigError(
             f"--host {host}: other computers can reach this address; set a token (--token, or the environment "

@@ -164,9 +164,7 @@ class Uploads:
             try:
                 end = time.monotonic() + MOST_S
                 with path.open("wb") as file:
-                    while piece := await asyncio.wait_for(
-                        anext(body, b""), min(IDLE_S, max(end - time.monotonic(), 0.0))
-                    ):
+                    while piece := await asyncio.wait_for(anext(body, b""), min(IDLE_S, max(end - time.monotonic(), 0.0))):
                         size += len(piece)
                         if size > self.limits.most:
                             await _drain(body)

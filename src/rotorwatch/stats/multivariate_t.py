@@ -18,9 +18,7 @@ import numpy as np
 from rotorwatch.stats.tails import f_tail
 
 
-def squared_distance(
-    rows: np.ndarray, scale: np.ndarray, more: Sequence | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def squared_distance(rows: np.ndarray, scale: np.ndarray, more: Sequence | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(m,) squared Mahalanobis distance of each row (m, d) under scale (d, d) or (m, d, d), and the determinant of the scale.
 
     more: d numbers or arrays (m,), added to the diagonal. By Gaussian elimination, of all rows at once: d is small, m large.

@@ -71,9 +71,7 @@ class ExcitationEvidence(NamedTuple):
     z: np.ndarray
 
 
-def find(
-    table: Ticks, B: np.ndarray, dynamics=None
-) -> tuple[tuple[ExcitationEvidence, ...], ExcitationEvidence | None, tuple[Event, ...]]:
+def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[ExcitationEvidence, ...], ExcitationEvidence | None, tuple[Event, ...]]:
     """The excitations of a flight, in order; `trim` before the first of them; and the losses known by then. table: its ticks; B (4, n);
     dynamics: learned from the vehicle's healthy flights.
 
@@ -229,9 +227,7 @@ def prior(rotors: Sequence[int], n: int, losses: np.ndarray | None = None) -> Pr
     return Prior(np.where(named, losses, 0.0), np.where(named, spread, UNLIKE))
 
 
-def evidence(
-    responses: Sequence[ExcitationEvidence], rotors: Sequence[int], before: Prior
-) -> tuple[float, np.ndarray, np.ndarray]:
+def evidence(responses: Sequence[ExcitationEvidence], rotors: Sequence[int], before: Prior) -> tuple[float, np.ndarray, np.ndarray]:
     """Log evidence that these rotors (0-based) are weak, against none; and the posterior mean (n,) and covariance (n, n) of all losses."""
     n, named = len(before.mean), list(rotors)
     J, z = (np.sum([getattr(response, name) for response in responses], axis=0) for name in ("J", "z"))
@@ -274,10 +270,7 @@ def _gaussian(J: np.ndarray, z: np.ndarray, mean: np.ndarray, sd: np.ndarray) ->
 
 
 def shares(
-    responses: Sequence[ExcitationEvidence],
-    named: dict[tuple[int, ...], np.ndarray],
-    n: int,
-    before: ExcitationEvidence | None = None,
+    responses: Sequence[ExcitationEvidence], named: dict[tuple[int, ...], np.ndarray], n: int, before: ExcitationEvidence | None = None
 ) -> dict[tuple[int, ...], float]:
     """Probability of each set of weak rotors (0-based; (): none): the named ones, with the losses (n,) that hover gives them, all single
     rotors and all pairs. before: the trim, which a loss since then has changed and an older one has not."""
@@ -288,9 +281,7 @@ def shares(
         logs[who] = np.log(OTHER) + np.logaddexp(old, new) - np.log(2.0)
     for who, losses in named.items():
         weight = CONTAINS if any(set(other) < set(who) for other in named) else 1.0
-        logs[who] = np.logaddexp(
-            logs.get(who, -np.inf), np.log(weight) + evidence(responses, who, prior(who, n, losses))[0]
-        )
+        logs[who] = np.logaddexp(logs.get(who, -np.inf), np.log(weight) + evidence(responses, who, prior(who, n, losses))[0])
     top = max(logs.values())
     weights = {who: float(np.exp(v - top)) for who, v in logs.items()}
     total = sum(weights.values())
@@ -307,9 +298,7 @@ def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]
         members = sorted(r - 1 for r in who)
         losses = np.zeros(n)
         losses[members] = np.minimum(least_squares(B[:, members], lacking)[0], 1.0)
-        if (
-            who is event.rotors or losses.max() > hypotheses.NONE
-        ):  # a set that explains nothing in hover is no candidate
+        if who is event.rotors or losses.max() > hypotheses.NONE:  # a set that explains nothing in hover is no candidate
             sets[tuple(members)] = losses
     return sets
 
@@ -334,14 +323,10 @@ def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
     candidates_ = {**sets, (): np.zeros(B.shape[1])}
-    return Question(
-        candidates_, hover, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt
-    )
+    return Question(candidates_, hover, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
 
 
-def resolve(
-    events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None
-) -> tuple[tuple[Event, ...], tuple[str, ...]]:
+def resolve(events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Event, ...], tuple[str, ...]]:
     """The losses of a flight, updated by the evidence of its excitations, and sentences on events that no rotor caused.
 
     Ambiguous events are resolved where an excitation after them shows which rotors it was, and so are those announced during an excitation
@@ -386,9 +371,7 @@ def _unsure(event: Event, posterior: dict[tuple[int, ...], float], extra: dict) 
     return replace(event, alternatives=others, reason=reason, extra=extra) if others else replace(event, extra=extra)
 
 
-def _unseen(
-    responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray
-) -> tuple[Event | None, str]:
+def _unseen(responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray) -> tuple[Event | None, str]:
     """The loss that only the excitations show, from since the flight was judged (the trim `before` has then changed as well) or from
     before; otherwise None and, where that is certain, the sentence that there is none."""
     n = B.shape[1]
@@ -427,9 +410,7 @@ def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarr
     index = list(who)
     loss = np.clip(mean[index], 0.0, 1.0)
     sd = sd_of(loss, np.sqrt(np.diag(cov)[index]), B)
-    bounds = tuple(
-        (max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True)
-    )
+    bounds = tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True))
     return tuple(float(v) for v in loss), bounds
 
 
@@ -454,9 +435,7 @@ def _resolved(event: Event, responses: Sequence[ExcitationEvidence], B: np.ndarr
         f"commands and motion changed at {event.onset_s:.1f} s as if rotors had lost thrust, and the excitation of the commands "
         f"from {when} drew a response that only weak rotors {names} give"
     )
-    return replace(
-        event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra
-    ), ""
+    return replace(event, rotors=who, loss=loss, interval=bounds, probability=share, alternatives=(), reason=reason, extra=extra), ""
 
 
 def _hear(view: View, losses: Events) -> Events:

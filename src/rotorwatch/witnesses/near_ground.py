@@ -22,9 +22,7 @@ def explains(flight: Flight, air: Spans, loss: Event) -> bool:
     if not flight.has("position"):
         return False
     start = next((a for a, b in air if a <= loss.onset_s <= b + FRESH_S), None)
-    if (
-        start is None or start - 1.0 < flight["motors"].time[0]
-    ):  # a log that begins in the air does not show where the ground is
+    if start is None or start - 1.0 < flight["motors"].time[0]:  # a log that begins in the air does not show where the ground is
         return False
     position = flight["position"].wholes()
     when = np.array([start - 1.0, loss.onset_s, loss.detected_s])

@@ -213,9 +213,7 @@ def _clipping(flight: Flight, air: Spans) -> Event | None:
         samples = _aloft(flight, "clipping", (span,))
         if samples is None:
             continue
-        counts = np.minimum.accumulate(samples[1][::-1, 0])[
-            ::-1
-        ]  # counts never fall: a value above a later one is damaged data
+        counts = np.minimum.accumulate(samples[1][::-1, 0])[::-1]  # counts never fall: a value above a later one is damaged data
         increase = counts - counts[0]
         if increase[-1] > limit:
             at = float(samples[0][int(np.argmax(increase > limit))])

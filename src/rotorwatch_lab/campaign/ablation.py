@@ -27,19 +27,7 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.toolkit import (
-    DEFINITIONS,
-    ENGINE,
-    JUDGE,
-    READY_S,
-    Estimated,
-    LogCase,
-    Ticks,
-    airborne,
-    events,
-    prepare,
-    program,
-)
+from rotorwatch.toolkit import DEFINITIONS, ENGINE, JUDGE, READY_S, Estimated, LogCase, Ticks, airborne, events, prepare, program
 from rotorwatch.toolkit import judge as conclude
 from rotorwatch_lab.campaign import batch, sequences
 from rotorwatch_lab.campaign.constants import TABLE
@@ -293,9 +281,7 @@ def run(
         "set": {kind: sum(row["as it is"]["kind"] == kind for row in rows) for kind in kinds},
         "variants": {name: measures([row[name] for row in rows]) for name in selected},
         "differences": {
-            name: differences([row["as it is"] for row in rows], [row[name] for row in rows])
-            for name in selected
-            if selected[name]
+            name: differences([row["as it is"] for row in rows], [row[name] for row in rows]) for name in selected if selected[name]
         },
     }
 
@@ -337,11 +323,7 @@ def differences(before: Sequence[dict[str, Any]], after: Sequence[dict[str, Any]
 
 def _paired(rows: Sequence[tuple]) -> dict[str, float]:
     change = np.array([float(b) - float(a) for a, b in rows])
-    return {
-        "difference": float(change.mean()),
-        "sd": float(change.std() / np.sqrt(len(change))),
-        "changed": int((change != 0).sum()),
-    }
+    return {"difference": float(change.mean()), "sd": float(change.std() / np.sqrt(len(change))), "changed": int((change != 0).sum())}
 
 
 def markdown(result: Mapping[str, Any]) -> str:

@@ -80,9 +80,7 @@ def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     return rows(plan, flown, size) if flown else []
 
 
-def rows(
-    plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, Exception], None] | None = None
-) -> list[dict]:
+def rows(plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, Exception], None] | None = None) -> list[dict]:
     """Rows of results of flights that have the same geometry and length of a tick. failed: called for a published estimator or a rule that
     raises, which then has no rows; None: it raises."""
     B = flown[0].vehicle.effectiveness()
@@ -207,9 +205,7 @@ def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray
         return [None] * len(flown)
     u, y, valid = methods.stacked([_table(f.ticks, B) for f in flown], size)
     length = u.shape[1]
-    theta = np.stack(
-        [np.concatenate([np.nan_to_num(f.theta), np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown]
-    )
+    theta = np.stack([np.concatenate([np.nan_to_num(f.theta), np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown])
     rotor = [c["rotor"] - 1 if c else 0 for c in clear]
     onset = [np.searchsorted(f.ticks.command_time + LAG_S, c["onset_s"]) if c else length for f, c in zip(flown, clear)]
     padding = size - len(flown)

@@ -77,9 +77,7 @@ def selected_methods(names: Sequence[str]) -> list[Method]:
             raise ConfigError(f"{unknown}; known are {', '.join(known)}, and package.module:Class.")
         twin = next((m for m in selected[:-1] if m.name == selected[-1].name), None)
         if twin:
-            raise ConfigError(
-                f"Two methods call themselves {twin.name} ({twin.label} and {name}): give one of them another name."
-            )
+            raise ConfigError(f"Two methods call themselves {twin.name} ({twin.label} and {name}): give one of them another name.")
     return selected
 
 
@@ -99,13 +97,8 @@ def try_out(method: Method) -> str | None:
         carry = jax.tree.map(np.asarray, estimator.init())
         new, out = jax.eval_shape(estimator.step, carry, np.ones(n_u), np.zeros(n_y), np.ones(n_y, bool))
         shapes = [(a.shape, a.dtype) for a in jax.tree.leaves(carry)]
-        if (
-            jax.tree.structure(new) != jax.tree.structure(carry)
-            or [(a.shape, a.dtype) for a in jax.tree.leaves(new)] != shapes
-        ):
-            return (
-                f"{method.whose} returns from step another carry than init makes: shapes and types must stay the same."
-            )
+        if jax.tree.structure(new) != jax.tree.structure(carry) or [(a.shape, a.dtype) for a in jax.tree.leaves(new)] != shapes:
+            return f"{method.whose} returns from step another carry than init makes: shapes and types must stay the same."
         estimate = getattr(out, "estimate", out)
         wanted = {"theta": (n,), "theta_cov": (n, n), "innovation": (n_y,), "innovation_cov": (n_y, n_y), "status": ()}
         for part, shape in wanted.items():
@@ -187,20 +180,13 @@ def _entered(benchmark: Benchmark, methods: Sequence[Method]) -> Plan:
     """The campaign's plan with these methods. Its text, by which the folder knows it, names them with their versions."""
     versions = "".join(f"\n# {m.label} {m.source.package} {m.source.version}" for m in methods)
     names = {kind: tuple(m.label for m in methods if m.kind == kind) for kind in ("estimator", "detector")}
-    return replace(
-        benchmark.plan,
-        estimators=names["estimator"],
-        detectors=names["detector"],
-        text=benchmark.text + versions + "\n",
-    )
+    return replace(benchmark.plan, estimators=names["estimator"], detectors=names["detector"], text=benchmark.text + versions + "\n")
 
 
 def _same_run(folder: Path, entered: Plan) -> None:
     plan_file = folder / "plan.toml"
     if plan_file.is_file() and plan_file.read_bytes() != entered.text.encode():
-        raise ConfigError(
-            f"{folder} holds parts of a run with another plan or other methods: delete that folder or give another --out."
-        )
+        raise ConfigError(f"{folder} holds parts of a run with another plan or other methods: delete that folder or give another --out.")
 
 
 @dataclass(frozen=True)
@@ -257,9 +243,7 @@ def _entry(method: Method, scored: dict[str, Any] | None, failed: str | None) ->
     return {**about, "failed": failed, "scores": scored}
 
 
-def _on_data(
-    data_set: public_data.DataSet, methods: Sequence[Method], benchmark: Benchmark, notify: Callable | None
-) -> dict[str, Any]:
+def _on_data(data_set: public_data.DataSet, methods: Sequence[Method], benchmark: Benchmark, notify: Callable | None) -> dict[str, Any]:
     """Results on one data set."""
     entered, reasons = _entered(benchmark, methods), {}
 

@@ -61,9 +61,7 @@ def read(plan: str | os.PathLike) -> Benchmark:
     """A plan that comes with rotorwatch, by name, or one in a TOML file. Raises ConfigError with one sentence that names the field."""
     known = shipped()
     if os.fspath(plan) not in known and not Path(plan).exists():
-        raise ConfigError(
-            f"There is no benchmark {plan}{meant(plan, known)}: give {' or '.join(known)}, or the file of a plan."
-        )
+        raise ConfigError(f"There is no benchmark {plan}{meant(plan, known)}: give {' or '.join(known)}, or the file of a plan.")
     path = known.get(os.fspath(plan), Path(plan))
     _, text = files.toml(path, "benchmark's plan", plans.MAX_BYTES)
     try:

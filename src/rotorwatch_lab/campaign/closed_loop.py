@@ -158,9 +158,7 @@ def run(
     return result
 
 
-def measures(
-    rows: Sequence[dict], truth: Mapping[int, float | None], nobody: Mapping[int, float | None]
-) -> dict[str, Any]:
+def measures(rows: Sequence[dict], truth: Mapping[int, float | None], nobody: Mapping[int, float | None]) -> dict[str, Any]:
     """Measures of one driver's rows; truth, nobody: when each flight was lost with those drivers (None: never). survived: share of faulty
     flights; of_possible: share of those that knowing the truth saves, of_able: of those among them whose vehicle, healthy, keeps to its
     track; lost_healthy: flights without a fault that were lost; false_h: flights in which it acted falsely, per healthy hour; lost_false:
@@ -169,9 +167,7 @@ def measures(
     faulty = [r for r in rows if r["faulty"]]
     healthy = [r for r in rows if not r["faulty"]]
     possible = [r for r in faulty if r["flight"] in truth and truth[r["flight"]] is None]
-    harmed = [
-        r for r in rows if r["false"] and r["lost_s"] is not None and r["lost_s"] < (nobody.get(r["flight"]) or np.inf)
-    ]
+    harmed = [r for r in rows if r["false"] and r["lost_s"] is not None and r["lost_s"] < (nobody.get(r["flight"]) or np.inf)]
 
     def survived(some: Sequence[dict]) -> dict[str, float] | None:
         return tools.share([r["survived"] for r in some])
@@ -256,9 +252,7 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None
     return reconfigured.entry(len(mean), since, mean, lower, upper, held, gains, candidates, weights)
 
 
-def _beliefs(
-    driver: str, flights, scenarios, plans, records, entries, by: str, size: int
-) -> list[reconfigured.Entry | None]:
+def _beliefs(driver: str, flights, scenarios, plans, records, entries, by: str, size: int) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
@@ -278,9 +272,7 @@ def _beliefs(
     return beliefs
 
 
-def _next(
-    scenario: Scenario, ticks, out: program.TickOutput, entries: list[reconfigured.Entry], by: str
-) -> reconfigured.Entry | None:
+def _next(scenario: Scenario, ticks, out: program.TickOutput, entries: list[reconfigured.Entry], by: str) -> reconfigured.Entry | None:
     """The first belief after the last entry that is far enough from it."""
     if len(entries) == ENTRIES:
         return None
@@ -320,9 +312,7 @@ def _setpoints():
 
 def _off(plan, record) -> np.ndarray:
     """(T,) distance from the setpoint [m]."""
-    return np.linalg.norm(
-        record.p - np.asarray(_setpoints()(plan.way, len(record.time), float(record.time[0])).p), axis=1
-    )
+    return np.linalg.norm(record.p - np.asarray(_setpoints()(plan.way, len(record.time), float(record.time[0])).p), axis=1)
 
 
 def _flying(record) -> np.ndarray:

@@ -21,16 +21,7 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.toolkit import (
-    READY_S,
-    airborne,
-    ambiguous_sets,
-    diagnose,
-    events,
-    excitation_response,
-    observe,
-    program,
-)
+from rotorwatch.toolkit import READY_S, airborne, ambiguous_sets, diagnose, events, excitation_response, observe, program
 from rotorwatch_lab.control import excitation
 from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.simulation import logbook, loop, prepare, scenario
@@ -102,9 +93,7 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
     return table, carry, out, B, events.read(out, table, B)
 
 
-def designed(
-    question: excitation_response.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False
-):
+def designed(question: excitation_response.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
     """The design that resolves the question soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of
     WITHIN_S. None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
@@ -157,9 +146,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
                 design = designed(
-                    excitation_response.question(excitation_response.candidates(unsure[0], B), carry, table, B),
-                    limits=limits,
-                    B=B,
+                    excitation_response.question(excitation_response.candidates(unsure[0], B), carry, table, B), limits=limits, B=B
                 )
             else:
                 table, carry, out, B, _ = judged(flight, start)
@@ -168,9 +155,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         signals.append(excitation.none(n) if design is None else design.signal._replace(start=np.array(start)))
     after = fly(scenarios, signals)
     rows = []
-    for k, s, old, (was, _), (record, flight), design in zip(
-        flights, scenarios, answers, before, after, designs, strict=True
-    ):
+    for k, s, old, (was, _), (record, flight), design in zip(flights, scenarios, answers, before, after, designs, strict=True):
         broken = tuple(sorted(f["rotor"] for f in s.faults))
         new, named = old, ()
         if design is not None:
@@ -186,11 +171,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         }  # fmt: skip
         if design is not None:
             size = np.abs(design.signal.first) + np.abs(design.signal.second)
-            row |= {
-                "length_s": float(design.signal.length),
-                "amplitude": float(size.max()),
-                "turned_deg": attitude_change(was, record),
-            }
+            row |= {"length_s": float(design.signal.length), "amplitude": float(size.max()), "turned_deg": attitude_change(was, record)}
             row |= {"information": float(design.information.min()), "needed": design.needed}
         rows.append(row)
     return rows

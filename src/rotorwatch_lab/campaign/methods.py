@@ -74,9 +74,7 @@ def run_hops(name: str, hops: Sequence[LogPlant], B: np.ndarray, size: int, deci
     example = build(parameters[0])  # with values: says what is wrong
     try:
         if engine() == "native":
-            ran = [
-                run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto") for h, p in zip(hops, parameters)
-            ]
+            ran = [run_built(build, p, h.u, h.y, h.valid, published.seen, backend="auto") for h, p in zip(hops, parameters)]
             return [out for _, out in ran]
         return _side_by_side(_program(name, dt, decisions), side_by_side(example.init(), size), hops, B, size)
     except (jax.errors.JAXTypeError, ConfigError):  # design work that needs values: compiled for each flight alone
@@ -100,12 +98,7 @@ def _side_by_side(program, step: int, hops: Sequence[LogPlant], B: np.ndarray, s
 
 
 def judge(
-    name: str,
-    tables: Sequence[Ticks],
-    hops: Sequence[Sequence[LogPlant]],
-    B: np.ndarray,
-    size: int,
-    decisions: Decisions,
+    name: str, tables: Sequence[Ticks], hops: Sequence[Sequence[LogPlant]], B: np.ndarray, size: int, decisions: Decisions
 ) -> list[list[program.TickOutput]]:
     """Output of `published.judge` for each decision and each flight. hops: of each flight, by `learn`."""
     hyp = list_hypotheses(B.shape[1])

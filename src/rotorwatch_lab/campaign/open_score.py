@@ -76,10 +76,7 @@ def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]
     onset = min((f["onset_s"] for f in scenario.faults), default=0.0)
     sure = _sure(answer)
     early = any(e.detected_s < onset - EARLY_S for e in sure)
-    row: dict[str, Any] = {
-        "accused": "+".join(map(str, sorted(named))),
-        "outcome": _outcome(scenario, answer, named, truth, early),
-    }
+    row: dict[str, Any] = {"accused": "+".join(map(str, sorted(named))), "outcome": _outcome(scenario, answer, named, truth, early)}
     rightful = [e for e in sure if set(e.rotors) & truth and e.detected_s >= onset - EARLY_S]
     if not rightful:
         return row
@@ -108,8 +105,5 @@ def _size(true: Mapping[int, float], events: list[Event]) -> dict[str, Any]:
         for k, rotor in enumerate(event.rotors):
             if event.kind == LOSS and rotor in true and k < len(event.loss):
                 low, high = event.interval[k]
-                return {
-                    "error": float(event.loss[k] - true[rotor]),
-                    "holds": bool(low - 1e-9 <= true[rotor] <= high + 1e-9),
-                }
+                return {"error": float(event.loss[k] - true[rotor]), "holds": bool(low - 1e-9 <= true[rotor] <= high + 1e-9)}
     return {}

@@ -63,11 +63,7 @@ def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, An
         answer, air = _answer(logs.from_bytes(log, name))
     except RotorwatchError as why:
         return row | {"verdict": "error", "outcome": "error", "headline": str(why), "accused": ""}
-    about = {
-        "verdict": answer.verdict,
-        "headline": answer.headline,
-        "airborne_s": float(air[1] - air[0]) if air else 0.0,
-    }
+    about = {"verdict": answer.verdict, "headline": answer.headline, "airborne_s": float(air[1] - air[0]) if air else 0.0}
     return row | about | open_score.judged(scenario, answer)
 
 
@@ -143,9 +139,7 @@ def markdown(summary: dict[str, Any], brief: bool = False) -> str:
 
     Columns without a value in any row are left out; healthy kinds without an accusation or doubt are listed in a sentence.
     """
-    parts = [
-        f"{summary['flights']} flights of {summary['name']}: counts, with the 95 % interval of their share of the kind in per cent.\n"
-    ]
+    parts = [f"{summary['flights']} flights of {summary['name']}: counts, with the 95 % interval of their share of the kind in per cent.\n"]
     for group, lines in itertools.groupby(summary["lines"], key=lambda line: line["group"]):
         found, short = list(lines), brief and group
         quiet = [line for line in found if group and _quiet(line)]

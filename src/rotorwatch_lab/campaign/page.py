@@ -159,10 +159,7 @@ def _errors(name: str, errors: list[dict]) -> Any:
     if not points:
         return None
     x, p = [(q["low"] * q["high"]) ** 0.5 for q in points], _figure(f"{name}: error of announced losses", "loss_error")
-    for key, colour, dash, label in (
-        ("rmse", COLOURS[0], "solid", "achieved"),
-        ("bound_rmse", GREY, "dashed", "Cramer-Rao bound"),
-    ):
+    for key, colour, dash, label in (("rmse", COLOURS[0], "solid", "achieved"), ("bound_rmse", GREY, "dashed", "Cramer-Rao bound")):
         p.line(x, [q[key]["value"] for q in points], color=colour, line_dash=dash, line_width=2, legend_label=label)
         p.segment(x, [q[key]["low"] for q in points], x, [q[key]["high"] for q in points], color=colour, line_width=2)
     p.legend.location = "bottom_right"

@@ -159,9 +159,7 @@ class Plan:
             for rotor in rotors:
                 fault = drawn({key: v for key, v in template.items() if key not in FAULT}, rng)
                 faults.append({"rotor": int(rotor), **fault})
-        return scenario.from_table(
-            {**table, "name": f"{self.name} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
-        )
+        return scenario.from_table({**table, "name": f"{self.name} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults})
 
     def _fault(self, rng: np.random.Generator) -> Mapping[str, Any] | None:
         """A fault drawn from `faults` by share, or None for a flight without."""
@@ -220,9 +218,7 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
     if fields["judge"] not in JUDGES:
-        raise ConfigError(
-            f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}{meant(fields['judge'], JUDGES)}."
-        )
+        raise ConfigError(f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}{meant(fields['judge'], JUDGES)}.")
     rotors = _try_out(template, cells, faults)
     kinds = _kinds(fields["kinds"], template, cells)
     if fields["judge"] == "log" and (not kinds or estimators != ("default",) or rules):

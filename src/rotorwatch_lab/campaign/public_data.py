@@ -85,9 +85,7 @@ def read(name: str, path: str | os.PathLike) -> DataSet:
         raise ConfigError(f"--data {name}={path}: there is no such folder.")
     own_index = folder / OWN
     if not own_index.is_file() and key not in shipped():
-        known = NOT_JUDGED.get(
-            key, f"rotorwatch knows {', '.join(shipped())}; for others put an index, {OWN}, into the folder."
-        )
+        known = NOT_JUDGED.get(key, f"rotorwatch knows {', '.join(shipped())}; for others put an index, {OWN}, into the folder.")
         raise ConfigError(f"--data {name}={path}: {known} docs/benchmark.md says how.")
     index = own_index if own_index.is_file() else shipped()[key]
     table, text = files.toml(index, "index")
@@ -103,9 +101,7 @@ def read(name: str, path: str | os.PathLike) -> DataSet:
     return DataSet(name, folder, text, tuple(matched))
 
 
-def judge(
-    data: DataSet, plan: Plan, failed: Callable[[str, Exception], None] | None = None
-) -> tuple[list[dict], list[list[str]]]:
+def judge(data: DataSet, plan: Plan, failed: Callable[[str, Exception], None] | None = None) -> tuple[list[dict], list[list[str]]]:
     """(rows as of simulated flights, [[log, why]] of those left out). Flights of one geometry and length of a tick go side by side."""
     groups: dict[tuple, list[Flown]] = {}
     left_out = []
@@ -122,9 +118,7 @@ def judge(
         size = 1 << (len(flights) - 1).bit_length()
         try:
             rows += batch.rows(plan, flights, size, failed)
-        except (
-            RotorwatchError
-        ) as why:  # concerns these flights, whatever the method: commands too slow to learn from, say
+        except RotorwatchError as why:  # concerns these flights, whatever the method: commands too slow to learn from, say
             left_out += [[data.logs[f.number][0].relative_to(data.folder).as_posix(), str(why)] for f in flights]
     return rows, sorted(left_out)
 

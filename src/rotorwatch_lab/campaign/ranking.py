@@ -65,8 +65,7 @@ def rank(paths: Sequence[str | os.PathLike]) -> dict[str, Any]:
         "plan": one["plan"],
         **_ordered(entries, limit),
         "data": [
-            {"name": part["name"], "logs": part["logs"], "left_out": part["left_out"]}
-            | _ordered(part["methods"], limit)
+            {"name": part["name"], "logs": part["logs"], "left_out": part["left_out"]} | _ordered(part["methods"], limit)
             for part in sets.values()
         ],
         "machines": {path.name: results["machine"] for path, results in read},
@@ -79,9 +78,7 @@ def _plan(results: dict[str, Any]) -> str:
 
 
 def _entries(path: Path, results: dict[str, Any], methods: list[dict]) -> list[dict]:
-    return [
-        {**m, "file": path.name, "rotorwatch": results["rotorwatch"], "machine": results["machine"]} for m in methods
-    ]
+    return [{**m, "file": path.name, "rotorwatch": results["rotorwatch"], "machine": results["machine"]} for m in methods]
 
 
 def _ordered(entries: list[dict], limit: float) -> dict[str, list[dict]]:

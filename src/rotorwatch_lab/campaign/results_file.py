@@ -103,9 +103,7 @@ def _plan(plan: dict[str, Any], where: str) -> None:
         ours = benchmark_plan.read(plan["name"])
         if ours.version == plan["version"] and ours.sha256 != plan["sha256"]:
             called = f"{plan['name']} version {plan['version']}"
-            raise ConfigError(
-                f"{where}: its plan calls itself {called} and is not the one of rotorwatch: give it another name."
-            )
+            raise ConfigError(f"{where}: its plan calls itself {called} and is not the one of rotorwatch: give it another name.")
 
 
 def _methods(entries: list, where: str, path: str) -> None:

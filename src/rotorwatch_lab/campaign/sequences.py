@@ -61,9 +61,7 @@ class Sequences:
         table = drawn(SCENARIO, rng)
         table["airframe"]["frame"], table["logging"] = cell.frame, {"profile": cell.profile}
         faults = _faults(kind, cell.frame, rng)
-        return scenario.from_table(
-            {**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults}
-        )
+        return scenario.from_table({**table, "name": f"{kind} {k}", "seed": int(rng.integers(2**31 - 1)), "faults": faults})
 
 
 def _faults(kind: str, frame: str, rng: np.random.Generator) -> list[dict[str, Any]]:
@@ -185,15 +183,10 @@ def _part(work: tuple[int, range]) -> list[dict[str, Any]]:
 
 def describe(result: Mapping[str, Any]) -> str:
     """The table, as text."""
-    lines = [
-        f"{result['flights']} flights, seed {result['seed']}: the answer about all rotors between one change and the next",
-        "",
-    ]
+    lines = [f"{result['flights']} flights, seed {result['seed']}: the answer about all rotors between one change and the next", ""]
     lines.append(f"{'':24}{'states':>8}" + "".join(f"{name:>22}" for name in OUTCOMES))
     for row in result["table"]:
-        cells = (
-            f"{100 * v['value']:.1f} % ({100 * v['low']:.0f}-{100 * v['high']:.0f})" for v in map(row.get, OUTCOMES)
-        )
+        cells = (f"{100 * v['value']:.1f} % ({100 * v['low']:.0f}-{100 * v['high']:.0f})" for v in map(row.get, OUTCOMES))
         lines.append(f"{row['by'] + ' ' + row['name']:24}{row['states']:>8}" + "".join(f"{cell:>22}" for cell in cells))
     return "\n".join(lines)
 

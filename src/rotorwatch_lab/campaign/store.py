@@ -75,9 +75,7 @@ class Folder:
         if not plan_file.is_file() or plan_file.read_bytes() != plan.text.encode():
             raise ConfigError(f"{self.path} holds results of another plan (its plan.toml); give another folder.")
         if known["version"] != version:
-            raise ConfigError(
-                f"{self.path} was begun with rotorwatch {known['version']}, this is {version}; give another folder."
-            )
+            raise ConfigError(f"{self.path} was begun with rotorwatch {known['version']}, this is {version}; give another folder.")
         if known["engine"] != engine:
             raise ConfigError(
                 f"{self.path} was begun with {known['engine']} code, here is {engine}, whose last digits differ: set "
@@ -162,11 +160,7 @@ def _known(about: Path) -> dict[str, Any]:
     """The contents of campaign.json. Raises ConfigError."""
     try:
         known = json.loads(about.read_bytes())
-        return {
-            "version": str(known["version"]),
-            "width": int(known["width"]),
-            "engine": str(known.get("engine", "jax")),
-        }
+        return {"version": str(known["version"]), "width": int(known["width"]), "engine": str(known.get("engine", "jax"))}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(f"{about} is damaged; give another folder.") from error
 

@@ -198,9 +198,7 @@ def _ratio(error: np.ndarray, sd: np.ndarray) -> dict[str, float] | None:
 def size_errors(d: dict[str, np.ndarray]) -> dict[str, float]:
     """Flight -> estimated less true loss, of the announced clear faults; the numbers of flights as texts, as JSON keeps them."""
     ok = _announced(d)
-    return {
-        str(int(n)): round(float(e), 4) for n, e in zip(d["flight"][ok], (d["estimate"] - d["loss"])[ok], strict=True)
-    }
+    return {str(int(n)): round(float(e), 4) for n, e in zip(d["flight"][ok], (d["estimate"] - d["loss"])[ok], strict=True)}
 
 
 def closer(first: Mapping[str, float], other: Mapping[str, float]) -> dict[str, Any]:
@@ -294,8 +292,7 @@ def _delay_curve(d: dict[str, np.ndarray]) -> list[dict]:
     clear = d["clear"].astype(bool)
     with np.errstate(invalid="ignore"):
         return [
-            {"delay_s": t, "detected": share(d["delay_s"][clear] <= t), "bound": share(d["bound_delay_s"][clear] <= t)}
-            for t in DELAYS_S
+            {"delay_s": t, "detected": share(d["delay_s"][clear] <= t), "bound": share(d["bound_delay_s"][clear] <= t)} for t in DELAYS_S
         ]
 
 
@@ -351,10 +348,7 @@ def markdown(summary: dict[str, Any]) -> str:
         rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(results))
         parts.append(f"\n### {method}\n\n{table(['', 'flights', *MEASURES.values()], rows)}")
         if any(point["rmse"] for point in results["loss_error"]):
-            rows = (
-                [f"{p['low']:g} to {p['high']:g}", p["faults"], *(cell(k, p[k]) for k in ERRORS)]
-                for p in results["loss_error"]
-            )
+            rows = ([f"{p['low']:g} to {p['high']:g}", p["faults"], *(cell(k, p[k]) for k in ERRORS)] for p in results["loss_error"])
             parts.append("\n" + table([f"{method}: loss", "faults", *ERRORS.values()], rows))
     return "\n".join(parts) + "\n"
 

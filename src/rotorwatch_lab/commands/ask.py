@@ -28,11 +28,7 @@ from rotorwatch.toolkit.commands import (
 @click.command(short_help="Plan an excitation that shows which rotors are weak.")
 @click.argument("log", required=False, type=OUT)
 @option("--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", metavar="FILE|NAME")
-@option(
-    "--candidates",
-    "Candidate sets of rotors, by number; default: those of the log's diagnosis.",
-    metavar="1+4,2+5,none",
-)
+@option("--candidates", "Candidate sets of rotors, by number; default: those of the log's diagnosis.", metavar="1+4,2+5,none")
 @option("--loss", "Losses of the candidates: one for all, or one each.", "0.3", metavar="X,...")
 @option("--hover", "Hover command, share of full thrust.", type=float, metavar="X")
 @option("--arm", "Distance from the centre to the outermost rotor.", type=float, metavar="M")
@@ -104,7 +100,5 @@ def ask_flights(flights, frames, seed, jobs, scheduler, keep, as_json, quiet) ->
 
     with progress(quiet) as report:
         wanted = [f for f in frames.split(",") if f]
-        result = excitation_flights.run(
-            flights, wanted, seed, progress=report, jobs=jobs, scheduler=scheduler, keep=keep
-        )
+        result = excitation_flights.run(flights, wanted, seed, progress=report, jobs=jobs, scheduler=scheduler, keep=keep)
     answer(as_json, result, excitation_flights.markdown(result))

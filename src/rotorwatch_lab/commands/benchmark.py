@@ -14,19 +14,8 @@ from rotorwatch_lab.commands.campaign import flying
 @click.command(short_help="Run methods on fixed flights and rank them.")
 @click.argument("what", nargs=-1, metavar="[PLAN | --rank FILE...]")
 @click.option("--methods", default="", metavar="A,B,...", help="Methods to run; default: all installed ones.")
-@click.option(
-    "--method",
-    "more",
-    multiple=True,
-    metavar="MODULE:CLASS",
-    help="Estimator outside any package; may be repeated.",
-)
-@click.option(
-    "--data",
-    multiple=True,
-    metavar="NAME=PATH",
-    help="Also run them on a public data set in this folder; may be repeated.",
-)
+@click.option("--method", "more", multiple=True, metavar="MODULE:CLASS", help="Estimator outside any package; may be repeated.")
+@click.option("--data", multiple=True, metavar="NAME=PATH", help="Also run them on a public data set in this folder; may be repeated.")
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
 @click.option("-o", "--out", type=OUT, metavar="FILE", help="Results to write (.json); with --rank the page (.html).")
 @click.option("--rank", is_flag=True, help="Rank the methods of results FILEs of one plan.")
@@ -67,18 +56,14 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
     sets = [_named(text) for text in data]
     plan = benchmarks.read(what[0] if what else "quick")
     if not quiet:
-        say(
-            f"plan {plan.plan.name} version {plan.version}, {plan.flights} flights; parts in {benchmarks.parts_of(out)}"
-        )
+        say(f"plan {plan.plan.name} version {plan.version}, {plan.flights} flights; parts in {benchmarks.parts_of(out)}")
     try:
         with flying(quiet) as report:
             results = benchmarks.run(plan, names, out, jobs, sets, report, None if quiet else say)
     except KeyboardInterrupt:
         if benchmarks.parts_of(out).is_dir():
             parts = benchmarks.parts_of(out)
-            say(
-                f"finished flights are kept in {parts}: the same command resumes from there; unfinished flights are lost"
-            )
+            say(f"finished flights are kept in {parts}: the same command resumes from there; unfinished flights are lost")
         raise
     if as_json:
         click.echo(json.dumps(results, indent=1, allow_nan=False))
@@ -131,16 +116,10 @@ def _list(as_json: bool) -> None:
 
     from rotorwatch.report.terminal import Fitted
 
-    rows = [
-        [Text(t) for t in (m.name, m.kind, f"{m.source.package} {m.source.version}".strip(), m.about)] for m in known
-    ]
+    rows = [[Text(t) for t in (m.name, m.kind, f"{m.source.package} {m.source.version}".strip(), m.about)] for m in known]
     lines = [Text(f"plan {name}: version {b.version}, {b.flights} flights") for name, b in plans.items()]
     last = Text(f"Data sets with an index: {', '.join(facts['data'])}.")
-    show(
-        lambda _: Group(
-            *lines, Text(""), Fitted("Methods", ["name", "kind", "from", "what it is"], rows, wide=(2, 3)), last
-        )
-    )
+    show(lambda _: Group(*lines, Text(""), Fitted("Methods", ["name", "kind", "from", "what it is"], rows, wide=(2, 3)), last))
 
 
 def _named(text: str) -> tuple[str, str]:

@@ -9,9 +9,7 @@ from rotorwatch.toolkit.commands import LOG, OUT, common, counting, progress, re
 
 @click.command(short_help="Diagnose thousands of simulated flights.")
 @click.argument("plan", type=LOG)
-@click.option(
-    "--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done."
-)
+@click.option("--flights", type=click.IntRange(1, 10_000_000), default=1000, show_default=True, help="How many, with those done.")
 @spread
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
@@ -69,12 +67,8 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 @click.command(short_help="Measure the effect of each constant of the default method.")
 @click.argument("plan", type=LOG)
 @click.argument("logs", nargs=-1, type=LOG)
-@click.option(
-    "--flights", type=click.IntRange(2, 100_000), default=96, show_default=True, help="Simulated ones in all."
-)
-@click.option(
-    "--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS."
-)
+@click.option("--flights", type=click.IntRange(2, 100_000), default=96, show_default=True, help="Simulated ones in all.")
+@click.option("--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS.")
 @click.option("--only", default="", metavar="NAMES", help="Constants by prefix, such as model_error.,noise.CLIP.")
 @click.option("--variants", default="off,half,double", show_default=True, help="How the constants are changed.")
 @spread
@@ -95,16 +89,7 @@ def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as
         raise click.UsageError(f"--variants {variants}: give some of {', '.join(ablation.WORDS)}.")
     with progress(quiet) as report:
         result = ablation.run(
-            flight_plan,
-            logs,
-            flights,
-            hours,
-            only=names,
-            words=words,
-            jobs=jobs,
-            progress=report,
-            scheduler=scheduler,
-            keep=keep,
+            flight_plan, logs, flights, hours, only=names, words=words, jobs=jobs, progress=report, scheduler=scheduler, keep=keep
         )
     click.echo(json.dumps(result, indent=1, allow_nan=False) if as_json else ablation.markdown(result))
 

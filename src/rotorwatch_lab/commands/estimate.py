@@ -15,12 +15,7 @@ HELICOPTER = "aesmf"  # the method for helicopters when none is named
 
 @click.command(short_help="Show the estimates of published methods over time.")
 @click.argument("log", type=LOG)
-@option(
-    "--method --estimator methods",
-    "Published method (docs/methods); may be repeated.",
-    multiple=True,
-    metavar="NAME",
-)
+@option("--method --estimator methods", "Published method (docs/methods); may be repeated.", multiple=True, metavar="NAME")
 @option("-o --out outs", "Write .csv, .parquet, .json, .png, .svg, .pdf or .html; may be repeated.", multiple=True, type=OUT,
         metavar="FILE")  # fmt: skip
 @option("--vehicle", "Vehicle file (TOML), as `rotorwatch calibrate` writes it.", type=LOG, metavar="FILE")
@@ -29,11 +24,7 @@ HELICOPTER = "aesmf"  # the method for helicopters when none is named
         type=click.Choice(("rates", "paper", "both")))  # fmt: skip
 @option("--tuning", "Tuning of the method (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
 @option("--truth", "True losses (CSV), to plot and compare.", type=LOG, metavar="FILE")
-@option(
-    "--airframe",
-    "For a helicopter log: an airframe of a paper, such as ruav-40kg, or an airframe file.",
-    metavar="NAME|FILE",
-)
+@option("--airframe", "For a helicopter log: an airframe of a paper, such as ruav-40kg, or an airframe file.", metavar="NAME|FILE")
 @option("--lag", "Of a helicopter's actuators, s.", 0.03, type=click.FloatRange(0.001, 1.0))
 @JSON
 @common
@@ -83,9 +74,7 @@ def _texts(found: Any) -> list[str]:
 def _of(found: Any, series: Any) -> str:
     """A method's estimates over time."""
     first, last = float(series.time[0]), float(series.time[-1])
-    lines = [
-        f"{series.title}: {len(series.time)} steps of {series.dt:g} s, {first:.1f} to {last:.1f} s. {series.whose}"
-    ]
+    lines = [f"{series.title}: {len(series.time)} steps of {series.dt:g} s, {first:.1f} to {last:.1f} s. {series.whose}"]
     times = (first + (last - first) * part / (TIMES - 1) for part in range(TIMES))
     rows = sorted({k for t in times if (k := series.at(t)) is not None})
     width = max(22, *(len(name) + 2 for name in series.theta_names))

@@ -37,6 +37,4 @@ def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
         return
     for name, value in found.items():
         if name != "change_off":
-            click.echo(
-                f"{name.replace('_', ' '):<18}{'-' if value is None else f'{value:.3f}' if isinstance(value, float) else value}"
-            )
+            click.echo(f"{name.replace('_', ' '):<18}{'-' if value is None else f'{value:.3f}' if isinstance(value, float) else value}")

@@ -6,19 +6,7 @@ from typing import Any
 
 import click
 
-from rotorwatch.toolkit.commands import (
-    JSON,
-    LOG,
-    answer,
-    common,
-    option,
-    print_json,
-    progress,
-    resumable,
-    shares,
-    show,
-    spread,
-)
+from rotorwatch.toolkit.commands import JSON, LOG, answer, common, option, print_json, progress, resumable, shares, show, spread
 
 
 @click.command(short_help="Inject losses and count what is found.")

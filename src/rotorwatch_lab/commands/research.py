@@ -21,12 +21,7 @@ KEPT = "Keep each paper's result in this folder, and skip papers whose result is
 
 
 @click.command(short_help="Show which losses can be distinguished on an airframe.")
-@click.option(
-    "--vehicle",
-    required=True,
-    metavar="FILE|NAME",
-    help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).",
-)
+@click.option("--vehicle", required=True, metavar="FILE|NAME", help="Vehicle file (TOML), or an airframe's name (docs/airframes.md).")
 @click.option("--figure", type=OUT, metavar="OUT.svg", help="Draw it.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
@@ -70,9 +65,7 @@ class _Papers(click.Command):
         formatter.write("\nPapers, and the errata of each that can be read literally:\n")
         for line in reproduction.listing().splitlines():
             indent = " " * (len(line) - len(line.lstrip()) + 2)
-            text = textwrap.fill(
-                line.strip(), formatter.width, initial_indent=indent, subsequent_indent=f"{indent}    "
-            )
+            text = textwrap.fill(line.strip(), formatter.width, initial_indent=indent, subsequent_indent=f"{indent}    ")
             formatter.write(f"{text}\n")
 
 
@@ -80,9 +73,7 @@ class _Papers(click.Command):
 @click.argument("paper", required=False)
 @click.option("--all", "every", is_flag=True, help="All papers in turn; the same as the paper `all`.")
 @click.option("--seeds", type=click.IntRange(1), help="Noise seeds per experiment; default: the study's own number.")
-@click.option(
-    "--literal", multiple=True, metavar="NAME", help="Run this erratum as printed in the paper, to see its effect."
-)
+@click.option("--literal", multiple=True, metavar="NAME", help="Run this erratum as printed in the paper, to see its effect.")
 @click.option("--figures", type=OUT, metavar="DIR", help=FIGURES)
 @click.option("-o", "--output", type=OUT, metavar="DIR", help=KEPT)
 @spread
@@ -113,9 +104,7 @@ def reproduce(paper, every, seeds, literal, figures, output, jobs, scheduler, as
     kept = {m.PAPER: reproduction.kept(output, m, seeds, literal) if output else None for m in modules}
     due = [name for name, one in kept.items() if one is None or figures]
     lines = None if quiet or live() else _line
-    together = (
-        reproduction.reproduce_many(due, seeds, jobs, scheduler, output, lines) if paper == "all" and due else None
-    )
+    together = reproduction.reproduce_many(due, seeds, jobs, scheduler, output, lines) if paper == "all" and due else None
     with _lines(quiet, due):
         results = _results(modules, kept, due, together, seeds, literal, figures, output, as_json, quiet, lines)
     if as_json:

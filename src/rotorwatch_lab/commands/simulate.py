@@ -42,10 +42,7 @@ def simulate(scenario, out, seed, quiet) -> None:
     endings = _endings(out, wanted.helicopter)
     stems = [out.with_name(out.stem if len(endings) == 1 else out.name + ending) for ending in endings]
     for stem, ending in zip(stems, endings, strict=True):
-        for path in (
-            out.with_suffix(ending),
-            *(stem.with_name(f"{stem.name}.truth.{kind}") for kind in ("json", "csv")),
-        ):
+        for path in (out.with_suffix(ending), *(stem.with_name(f"{stem.name}.truth.{kind}") for kind in ("json", "csv"))):
             if path.is_dir():
                 raise ConfigError(f"--out {out}: {path} is a folder.")
     with _all_or_none(out) as hidden:

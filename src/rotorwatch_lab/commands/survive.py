@@ -8,18 +8,11 @@ from rotorwatch.toolkit.commands import FIGURE, JSON, common, drawable, numbers,
 
 
 @click.command(short_help="Show which losses of one and two rotors a vehicle survives.")
-@option(
-    "--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", required=True, metavar="FILE|NAME"
-)
+@option("--vehicle", "Vehicle file (TOML), or an airframe's name (docs/airframes.md).", required=True, metavar="FILE|NAME")
 @option("--loss", "Losses; 1 is a total loss.", "1", metavar="X,...")
 @option("--mass", "Mass; default: that of the vehicle file.", type=float, metavar="KG")
 @option("--thrust-to-weight", "Thrust-to-weight ratio; default: that of the vehicle file.", type=float, metavar="X")
-@option(
-    "--arm",
-    "Distance from the centre to the outermost rotor; default: that of the vehicle file.",
-    type=float,
-    metavar="M",
-)
+@option("--arm", "Distance from the centre to the outermost rotor; default: that of the vehicle file.", type=float, metavar="M")
 @FIGURE
 @JSON
 @common

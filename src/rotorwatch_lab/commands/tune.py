@@ -99,9 +99,7 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     findable(*names)
     names = study.known(names)
     if not quiet:
-        say(
-            f"{len(names)} estimators, one after the other: {', '.join(names)}; Ctrl-C stops and shows the finished ones"
-        )
+        say(f"{len(names)} estimators, one after the other: {', '.join(names)}; Ctrl-C stops and shows the finished ones")
     with progress(quiet) as report:
         scenes = [] if not logs else flights.with_truth(logs, truth) if truth else flights.injected(logs, wanted)
         scenes = [*(flights.simulated(seeds, wanted, report) if seeds else ()), *scenes]

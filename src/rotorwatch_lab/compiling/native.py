@@ -154,10 +154,7 @@ class Library:
 
     def leaves(self, state: np.ndarray) -> list[np.ndarray]:
         """The carry's arrays."""
-        return [
-            np.zeros(shape, TYPES[kind]) if 0 in shape else np.array(state[name])
-            for name, kind, shape in self.layout.state
-        ]
+        return [np.zeros(shape, TYPES[kind]) if 0 in shape else np.array(state[name]) for name, kind, shape in self.layout.state]
 
     def run(self, state: np.ndarray, parameters, u, y, valid, progress=None, room=None) -> list[np.ndarray]:
         """Step over rows; changes `state` (and `room`); returns the outputs' leaves, stacked: views of one table, which is never copied."""
@@ -175,10 +172,7 @@ class Library:
 
     def columns(self, out: np.ndarray) -> list[np.ndarray]:
         """The leaves of outputs: views of the table of rows."""
-        return [
-            out[name] if 0 not in shape else np.zeros((len(out), *shape), TYPES[kind])
-            for name, kind, shape in self.layout.out
-        ]
+        return [out[name] if 0 not in shape else np.zeros((len(out), *shape), TYPES[kind]) for name, kind, shape in self.layout.out]
 
 
 class Live:
@@ -347,18 +341,7 @@ def prepared(build_estimator: Callable, select: Callable, parameters, sizes: tup
             return found
         raise found
     about = json.dumps(
-        [
-            _package(),
-            names,
-            _shapes(parameters),
-            described(parameters),
-            sizes,
-            toolchain.machine(),
-            QUICK,
-            BIG,
-            FLAGS,
-            VECTORS,
-        ]
+        [_package(), names, _shapes(parameters), described(parameters), sizes, toolchain.machine(), QUICK, BIG, FLAGS, VECTORS]
     )
     note = toolchain.folder() / f"known-{hashlib.sha256(about.encode()).hexdigest()[:32]}.json"
     try:

@@ -64,17 +64,7 @@ def everything(out):
     return out
 
 
-def run(
-    estimator,
-    u,
-    y,
-    valid=None,
-    select: Callable = everything,
-    progress=None,
-    carry=None,
-    backend: str | None = None,
-    dt=None,
-):
+def run(estimator, u, y, valid=None, select: Callable = everything, progress=None, carry=None, backend: str | None = None, dt=None):
     """Step one estimator over T rows.
 
     estimator: an object with `init` and `step`. u (T, n_u): inputs. y (T, n_y): measurements. valid (T, n_y): bool; None: all of y that
@@ -157,15 +147,7 @@ class _Timed:
 
 
 def run_built(
-    build: Callable,
-    parameters,
-    u,
-    y,
-    valid,
-    select: Callable = everything,
-    progress=None,
-    carry=None,
-    backend: str | None = None,
+    build: Callable, parameters, u, y, valid, select: Callable = everything, progress=None, carry=None, backend: str | None = None
 ):
     """The same for an estimator that is built inside the compiled program: build(parameters).
 

@@ -93,9 +93,7 @@ class Allocator:
 
     name = "allocator"
 
-    def __init__(
-        self, B: Any, *, by: str = "estimate", method: str = "bounded", weights: Any = WEIGHTS, eps: float = EPS
-    ):
+    def __init__(self, B: Any, *, by: str = "estimate", method: str = "bounded", weights: Any = WEIGHTS, eps: float = EPS):
         """B (4, n): thrust, roll, pitch and yaw moment of each rotor at full command (`effectiveness`, or `rows` of a `Vehicle`), healthy.
         by: "estimate", "bounds" or "posterior"; method: "bounded", or "pseudo-inverse", which knows the estimate only. weights (4,):
         priorities of thrust, roll, pitch, yaw. eps: what departing from u0 costs. Raises ConfigError."""
@@ -106,9 +104,7 @@ class Allocator:
         if by not in DRIVEN_BY or method not in METHODS:
             raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, method one of {', '.join(METHODS)}.")
         if method == "pseudo-inverse" and by != "estimate":
-            raise ConfigError(
-                'the pseudo-inverse is driven by an estimate only: leave out `by`, or take method="bounded".'
-            )
+            raise ConfigError('the pseudo-inverse is driven by an estimate only: leave out `by`, or take method="bounded".')
         self.by, self.method, self.B, self.n = by, method, B, B.shape[1]
         self.weights = checks.positive("weights", checks.shape("weights", np.asarray(weights, float), 4))
         self.eps = float(checks.positive("eps", eps))
@@ -149,9 +145,7 @@ class Allocator:
         # Linear in each effectiveness: the ends are where a channel is furthest off.
         surplus, deficit = (upper - mean) * u, (mean - lower) * u
         up, down = np.maximum(self.B, 0.0), np.maximum(-self.B, 0.0)
-        worst = jnp.maximum(
-            jnp.abs(error - up @ surplus - down @ deficit), jnp.abs(error + up @ deficit + down @ surplus)
-        )
+        worst = jnp.maximum(jnp.abs(error - up @ surplus - down @ deficit), jnp.abs(error + up @ deficit + down @ surplus))
         granted = (jnp.abs(error) <= GRANTED * self.size) & usable
         status = jnp.where(usable, OK, HELD).astype(jnp.int32)
         return Held(u), Allocation(u, wrench, error, worst, granted.astype(float), status), turns
@@ -187,9 +181,7 @@ class Allocator:
         shrink together only when no thrust makes room for them, and yaw takes the room that is left. ArduPilot's and PX4's order."""
         d = jnp.full(self.n, self.eps)
         # Around the first answer once more: what eps takes away is squared, and the smallest commands stay the smallest.
-        lift, tilt, yaw = (
-            box.unbounded(A, part, self._free(A, part), d) for part in (np.eye(4)[0], b * TILT, b * np.eye(4)[3])
-        )
+        lift, tilt, yaw = (box.unbounded(A, part, self._free(A, part), d) for part in (np.eye(4)[0], b * TILT, b * np.eye(4)[3]))
         pushes = lift > 1e-9
         per = 1.0 / jnp.where(pushes, lift, 1.0)
         slope = tilt * per

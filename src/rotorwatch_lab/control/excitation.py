@@ -169,9 +169,7 @@ def design(
     blind = [tuple(p) for p, A in zip(pairs, seen, strict=True) if np.abs(A).max() * unit < 1e-6 * size]
     if blind:
         raise ConfigError(_why_blind(thetas, N, blind[0]))
-    room = np.minimum(
-        (1.0 - CONTROLLER_SHARE) * np.minimum(hover - limits.least, limits.most - hover), limits.amplitude
-    )
+    room = np.minimum((1.0 - CONTROLLER_SHARE) * np.minimum(hover - limits.least, limits.most - hover), limits.amplitude)
     used = np.linalg.norm(N, axis=1) > FLAT
     if (room[used] < 1e-3).any():
         tight = ", ".join(str(k + 1) for k in np.flatnonzero(used & (room < 1e-3)))

@@ -219,9 +219,7 @@ class SpinningHover:
         hover = relaxed_hover(airframe, effectiveness)
         gains = design(airframe, hover) if hover else None
         if hover is None or gains is None:
-            raise ConfigError(
-                "This vehicle cannot hover with these losses, not even while turning: land it or save it otherwise."
-            )
+            raise ConfigError("This vehicle cannot hover with these losses, not even while turning: land it or save it otherwise.")
         self.dt = float(checks.positive("dt", dt))
         self.hover, self.gains, self.n = hover, gains, len(hover.u)
         self.keep = math.exp(-self.dt / airframe.lag)

@@ -22,6 +22,4 @@ class AEKF(AugmentedEKF):
         """dt: s. theta_walk: variance that a loss gains per second [1/s] before adaptation; theta_var: variance of the losses at
         the start; both a number or one per theta. eta: rate of adaptation [1/s]; window_s: measured time over which
         innovations are averaged [s]. Raises ConfigError for wrong values."""
-        super().__init__(
-            system, dt, theta_walk=theta_walk, theta_var=theta_var, adaptation=adaptation(eta, window_s, dt)
-        )
+        super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var, adaptation=adaptation(eta, window_s, dt))

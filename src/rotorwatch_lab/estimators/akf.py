@@ -32,16 +32,7 @@ class AKF(adaptive_kalman.Zhang):
 
     name = "akf"
 
-    def __init__(
-        self,
-        system,
-        dt: float,
-        *,
-        memory_s: float | None = MEMORY_S,
-        theta_var=0.01,
-        s_max: float | None = 1.0,
-        about=None,
-    ):
+    def __init__(self, system, dt: float, *, memory_s: float | None = MEMORY_S, theta_var=0.01, s_max: float | None = 1.0, about=None):
         """dt: s. memory_s: time after which a measurement counts 1/e for the losses [s], None to forget nothing; theta_var: variance of
         the losses at the start, a number or one per theta; s_max: bound of that variance, None for none. about: (n_x,) where to
         linearise (default: x0), or (T, n_x), a point per step, the last one from then on. Raises ConfigError for wrong values."""

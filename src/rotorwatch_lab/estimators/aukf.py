@@ -28,9 +28,7 @@ class AUKF(unscented.Unscented):
     name, called = "aukf", "The adaptive unscented Kalman filter"
     not_kalman = "it adapts the process noise to its innovations"
 
-    def __init__(
-        self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, eta=0.5, window_s=1.0, alpha=1.0, beta=2.0, kappa=0.0
-    ):
+    def __init__(self, system, dt, *, theta_walk=1e-3, theta_var=1e-2, eta=0.5, window_s=1.0, alpha=1.0, beta=2.0, kappa=0.0):
         """Arguments of `unscented.Unscented`, and: eta: rate of adaptation [1/s]; window_s: measured time over which innovations are
         averaged [s]. Raises ConfigError."""
         super().__init__(system, dt, theta_walk=theta_walk, theta_var=theta_var, alpha=alpha, beta=beta, kappa=kappa)

@@ -38,15 +38,7 @@ class AXKF(adaptive_kalman.Zhang):
     name = "axkf"
 
     def __init__(
-        self,
-        system,
-        dt: float,
-        *,
-        gain=None,
-        memory_s: float | None = MEMORY_S,
-        theta_var=0.01,
-        s_max: float | None = S_MAX,
-        z0=None,
+        self, system, dt: float, *, gain=None, memory_s: float | None = MEMORY_S, theta_var=0.01, s_max: float | None = S_MAX, z0=None
     ):
         """dt: s. gain: (n_x, n_y) of the observer, for steps of dt; default: the stationary Kalman gain at x0, and others are
         made by `rotorwatch_lab.maths.observer_gain`. memory_s: time after which a measurement counts 1/e for the losses [s], None to

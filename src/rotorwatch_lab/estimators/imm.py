@@ -64,9 +64,7 @@ class IMM:
     name = "imm"
     not_kalman = "it assumes that one rotor at a time is weak, and weighs one filter for each by how well they predict"
 
-    def __init__(
-        self, system, dt: float, *, theta_walk=1e-3, theta_var=0.1, healthy_s=100.0, weak_s=1000.0, common: bool = True
-    ):
+    def __init__(self, system, dt: float, *, theta_walk=1e-3, theta_var=0.1, healthy_s=100.0, weak_s=1000.0, common: bool = True):
         """dt: s. theta_walk: variance that the loss of a faulty mode gains per second [1/s]; theta_var: variance of a loss that
         has just begun. healthy_s, weak_s: mean time for which the vehicle stays healthy, and a rotor weak [s]. common: one mode more,
         in which all rotors lose alike. Raises ConfigError for wrong values."""
@@ -131,9 +129,7 @@ def directions(system: Any, common: bool) -> np.ndarray:
     return np.concatenate(rows)
 
 
-def filtered(
-    system: Any, d: Array, s: Array, P: Array, walk: Array, u: Array, y: Array, valid: Array, dt: Array
-) -> Updated:
+def filtered(system: Any, d: Array, s: Array, P: Array, walk: Array, u: Array, y: Array, valid: Array, dt: Array) -> Updated:
     """Predict and update every mode's filter from s (M, n_x + 1) and P. d (M, n_theta); walk: variance that a loss gains per second."""
     n = system.n_x
     Q, R = system.Q(dt), system.R(u)

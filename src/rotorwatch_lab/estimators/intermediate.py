@@ -59,9 +59,7 @@ class Intermediate:
     """Intermediate observer on any plant whose losses drive measured states or measurements."""
 
     name = "intermediate"
-    not_kalman = (
-        "its gains are placed poles, not the noise's ratio, and losses are read from the faults after filtering"
-    )
+    not_kalman = "its gains are placed poles, not the noise's ratio, and losses are read from the faults after filtering"
 
     def __init__(
         self,
@@ -90,10 +88,7 @@ class Intermediate:
         """
         self.system, self.dt = plant.checked("The intermediate observer", system, dt), dt
         self.alpha = checks.positive("alpha", alpha)
-        self.lp, self.lv = (
-            checks.positive("position_rate", position_rate),
-            checks.positive("velocity_rate", velocity_rate),
-        )
+        self.lp, self.lv = (checks.positive("position_rate", position_rate), checks.positive("velocity_rate", velocity_rate))
         self.drift, self.loss_sd = checks.positive("drift_sd", drift_sd), checks.positive("loss_sd", loss_sd)
         checks.one_of("discretisation", discretisation, GAINS)
         checks.one_of("allocation", allocation, ALLOCATIONS)
@@ -222,9 +217,7 @@ class Intermediate:
         self.feels = _acts(D)  # (n_y,) where a measurement feels losses at once
         self.channel = jnp.concatenate([self.driven > 0, self.feels])
         if checks.concrete(self.channel) and not self.channel.any():
-            raise ConfigError(
-                f"The intermediate observer finds no loss that does anything in the plant {checks.plant_name(system)}."
-            )
+            raise ConfigError(f"The intermediate observer finds no loss that does anything in the plant {checks.plant_name(system)}.")
         C = jnp.where(self.feels[:, None], 0.0, H)
         eye = np.eye(system.n_x)
         information = C.T @ C
@@ -264,9 +257,7 @@ class Intermediate:
         """(n_x + n_y,) the paper's nu on the yaw rate's channel, 1 elsewhere."""
         here = np.array([name == "r" for name in getattr(self.system, "x_names", ())] or [False] * self.system.n_x)
         if checks.concrete(yaw_gain) and yaw_gain != 1.0 and not here.any():
-            raise ConfigError(
-                f"yaw_gain is for plants with a yaw rate called r; the plant {checks.plant_name(self.system)} has none."
-            )
+            raise ConfigError(f"yaw_gain is for plants with a yaw rate called r; the plant {checks.plant_name(self.system)} has none.")
         return jnp.concatenate([jnp.where(here, yaw_gain, 1.0), jnp.ones(self.system.n_y)])
 
 

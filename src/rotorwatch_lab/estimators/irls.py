@@ -24,11 +24,7 @@ from rotorwatch_lab.maths import linearise, measured_regression
 # Constants of 95 % efficiency where noise is normal, and of the scale.
 CONSTANT = {"huber": 1.345, "tukey": 4.685}
 K = 1.5
-BETA = (
-    math.erf(K / math.sqrt(2.0))
-    - math.sqrt(2.0 / math.pi) * K * math.exp(-0.5 * K * K)
-    + K * K * math.erfc(K / math.sqrt(2.0))
-)
+BETA = math.erf(K / math.sqrt(2.0)) - math.sqrt(2.0 / math.pi) * K * math.exp(-0.5 * K * K) + K * K * math.erfc(K / math.sqrt(2.0))
 
 
 class Carry(NamedTuple):
@@ -52,15 +48,7 @@ class IRLS:
     not_kalman = "it weighs outliers down and forgets what is older than its window"
 
     def __init__(
-        self,
-        system,
-        dt: float,
-        *,
-        window_s=1.0,
-        theta_var=0.1,
-        weights: str = "huber",
-        constant: float | None = None,
-        iterations: int = 5,
+        self, system, dt: float, *, window_s=1.0, theta_var=0.1, weights: str = "huber", constant: float | None = None, iterations: int = 5
     ):
         """dt: s. window_s: length of the window [s]. theta_var: variance of the losses before any measurement, a number or one per
         theta. weights: huber or tukey; constant: their c, in standard deviations (None: 95 % efficiency). iterations: reweightings
@@ -99,9 +87,7 @@ class IRLS:
 
         window = pushed(carry.z, z), pushed(carry.Omega, Omega), pushed(carry.seen, valid.astype(float))
         theta, P, s = self._fitted(*window, carry.theta, carry.s)
-        theta, P, s = (
-            jnp.where(valid.any(), new, old) for new, old in ((theta, carry.theta), (P, carry.P), (s, carry.s))
-        )
+        theta, P, s = (jnp.where(valid.any(), new, old) for new, old in ((theta, carry.theta), (P, carry.P), (s, carry.s)))
         following = carry.next + valid.any().astype(jnp.int32)
         following = jnp.where(following == self.rows, 0, following).astype(jnp.int32)
         known = measured_regression.measured(row, y, valid, theta)

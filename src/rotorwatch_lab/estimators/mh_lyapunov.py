@@ -69,9 +69,7 @@ class MHLyapunov(Adaptation):
     surprise: Any = 50.0
 
     name = "mh_lyapunov"
-    not_kalman = (
-        "Its gains are fixed by a Lyapunov function and a window of equal weights; they do not follow the covariance."
-    )
+    not_kalman = "Its gains are fixed by a Lyapunov function and a window of equal weights; they do not follow the covariance."
 
     def __post_init__(self):
         checks.one_of("pull", self.pull, PULLS)
@@ -99,9 +97,7 @@ class MHLyapunov(Adaptation):
         """A block that begins at the measured state; seen (n_x,): which states were measured there."""
         n, k, m = self.system.n_x, self.system.n_theta, self.system.n_y
         zero = jnp.zeros(())
-        return Block(
-            zero, measured, jnp.zeros((n, k)), seen, jnp.zeros(m), jnp.zeros((m, k)), jnp.zeros(m), jnp.zeros(n)
-        )
+        return Block(zero, measured, jnp.zeros((n, k)), seen, jnp.zeros(m), jnp.zeros((m, k)), jnp.zeros(m), jnp.zeros(n))
 
     def step(self, carry: Carry, u, y, valid, dt=None) -> tuple[Carry, Estimate]:
         """Advance by dt seconds (None: the constructor's dt) with input u held over the step and y at its end."""

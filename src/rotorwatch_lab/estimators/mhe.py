@@ -79,14 +79,8 @@ class MHE:
         at least `hold` times u_nominal (n_u,) (default: hover); others rest. Raises ConfigError for values that cannot be.
         """
         self.system, self.dt = plant.checked("The moving-horizon estimator", system, dt), dt
-        self.intervals, self.m = (
-            checks.whole("nodes", nodes, 2) - 1,
-            max(1, round(checks.positive("node_s", node_s) / dt)),
-        )
-        self.iterations, self.passes = (
-            checks.whole("iterations", iterations, 1),
-            checks.whole("active_set", active_set, 1),
-        )
+        self.intervals, self.m = (checks.whole("nodes", nodes, 2) - 1, max(1, round(checks.positive("node_s", node_s) / dt)))
+        self.iterations, self.passes = (checks.whole("iterations", iterations, 1), checks.whole("active_set", active_set, 1))
         self.theta_sd, self.walk = checks.positive("theta_sd", theta_sd), checks.positive("walk", walk)
         self.least = checks.between("hold", hold, 0.0, 1.0) * bounded.nominal_input(system, u_nominal)
         low, high = bounded.of_losses(system, bounds)

@@ -107,10 +107,7 @@ class Parity:
             return state, self.C @ state + row[1]
 
         n, N = self.system.n_theta, self.N
-        rows = (
-            jnp.concatenate([push[:, :, None], Phi], axis=2),
-            jnp.concatenate([jnp.zeros((N, y.shape[1], 1)), D], axis=2),
-        )
+        rows = (jnp.concatenate([push[:, :, None], Phi], axis=2), jnp.concatenate([jnp.zeros((N, y.shape[1], 1)), D], axis=2))
         forced = jax.lax.scan(go, jnp.zeros((self.system.n_x, n + 1)), rows)[1]
         target = jnp.concatenate([(y - forced[:, :, 0])[:, :, None], forced[:, :, 1:]], axis=2)
         both = self.V @ target.reshape(-1, n + 1)

@@ -40,19 +40,7 @@ class Thau:
     name = "thau"
     not_kalman = "its gain is a Lyapunov equation's with a rate that was asked for, and does not follow the noise"
 
-    def __init__(
-        self,
-        system,
-        dt: float,
-        *,
-        rate=12.0,
-        bandwidth=4.0,
-        direct_rate=1.5,
-        leak=0.02,
-        u_nominal=None,
-        theta_sd=0.3,
-        walk=0.05,
-    ):
+    def __init__(self, system, dt: float, *, rate=12.0, bandwidth=4.0, direct_rate=1.5, leak=0.02, u_nominal=None, theta_sd=0.3, walk=0.05):
         """dt: s. rate: at which the observer's error falls [1/s]; bandwidth: of the adaptation [rad/s]; direct_rate: speed at which
         outputs that only theta moves (the accelerometer) adapt it [1/s]; leak: at which losses fall back to 0 where nothing holds them
         [1/s]. u_nominal (n_u,): input of the design (default: hover). theta_sd: of a loss at the start, walk: of a loss in a
@@ -100,15 +88,11 @@ class Thau:
         F, Phi = linearise.transition(system, x0, u, healthy, self.dt)[1:]
         C, D = linearise.measurement(system, x0, u, healthy)[1:]
         self.direct = jnp.where((C * C).sum(axis=1) < TINY, 1.0, 0.0)
-        size = ((C @ linearise.transition(system, x0, u, healthy, 1.0 / self.rate).by_theta * self.rate) ** 2).sum(
-            axis=1
-        )
+        size = ((C @ linearise.transition(system, x0, u, healthy, 1.0 / self.rate).by_theta * self.rate) ** 2).sum(axis=1)
         W = jnp.where(size > TINY, 1.0 / jnp.maximum(size, TINY), 1.0 / system.R(u)) * (1.0 - self.direct)
         back = measured_regression.left_inverse(F) * jnp.exp(-self.rate * self.dt)  # mu F^-1
         if checks.concrete(back) and np.abs(np.linalg.eigvals(np.asarray(back))).max() >= 1.0:
-            raise ConfigError(
-                f"rate = {self.rate:g} /s is slower than the plant {system.name} itself; choose a larger one."
-            )
+            raise ConfigError(f"rate = {self.rate:g} /s is slower than the plant {system.name} itself; choose a larger one.")
         P = (C.T * W) @ C
         for _ in range(DOUBLINGS):
             P, back = P + back.T @ P @ back, back @ back

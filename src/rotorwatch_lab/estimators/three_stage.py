@@ -49,21 +49,9 @@ class ThreeStage:
     """Three-stage Kalman filter on any plant that can be differentiated."""
 
     name = "three_stage"
-    not_kalman = (
-        "it estimates a disturbance beside the losses; with disturbance_share=0 it is the augmented Kalman filter"
-    )
+    not_kalman = "it estimates a disturbance beside the losses; with disturbance_share=0 it is the augmented Kalman filter"
 
-    def __init__(
-        self,
-        system,
-        dt: float,
-        *,
-        theta_walk=1e-3,
-        theta_var=0.01,
-        disturbance_share=0.05,
-        disturbance_s=1.0,
-        u_nominal=None,
-    ):
+    def __init__(self, system, dt: float, *, theta_walk=1e-3, theta_var=0.01, disturbance_share=0.05, disturbance_s=1.0, u_nominal=None):
         """dt: s. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; both a number or one
         per theta. disturbance_share: standard deviation of the disturbance, as a share of what the full loss of one rotor does at
         u_nominal (n_u,; default: hover); disturbance_s: its correlation time [s]. Raises ConfigError for wrong values."""

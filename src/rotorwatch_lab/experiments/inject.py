@@ -51,9 +51,7 @@ def inject(
     share = _losses(flight, vehicle, rotors, loss)
     motors = flight.signals["motors"]
     if not (np.isfinite(onset) and len(motors) and motors.time[0] <= onset < motors.time[-1]):
-        raise ConfigError(
-            f"onset {onset:g} s lies outside the motor commands of the flight; choose a time within them."
-        )
+        raise ConfigError(f"onset {onset:g} s lies outside the motor commands of the flight; choose a time within them.")
     if not (np.isfinite(response_s) and response_s > 0):
         raise ConfigError(f"response time {response_s:g} s: give a positive number of seconds.")
     answer = _answer(vehicle, share)
@@ -69,9 +67,7 @@ def inject(
         control = _control(flight, vehicle, raised, onset)
         if control is None:
             del signals["control"]
-            warnings.append(
-                "The rate controller's output was left out: without a known mixer no loss can be put into it."
-            )
+            warnings.append("The rate controller's output was left out: without a known mixer no loss can be put into it.")
         else:
             signals["control"] = control
     for k in np.flatnonzero(limited > 0.001):
@@ -92,24 +88,14 @@ def _losses(flight: Flight, vehicle: Vehicle, rotors, loss) -> np.ndarray:
     """(n,) loss of every rotor; ConfigError unless the request makes sense."""
     n = len(vehicle.rotors)
     if not flight.has("motors") or flight.rotor_count != n:
-        raise ConfigError(
-            f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into."
-        )
+        raise ConfigError(f"the flight has commands of {flight.rotor_count} rotors, the vehicle {n}: nothing to put a loss into.")
     faulty, much = np.atleast_1d(rotors), np.atleast_1d(np.asarray(loss, float))
-    if (
-        faulty.dtype.kind not in "iu"
-        or not faulty.size
-        or len(set(faulty.tolist())) != faulty.size
-        or faulty.min() < 1
-        or faulty.max() > n
-    ):
+    if faulty.dtype.kind not in "iu" or not faulty.size or len(set(faulty.tolist())) != faulty.size or faulty.min() < 1 or faulty.max() > n:
         raise ConfigError(f"rotors {rotors}: give different rotor numbers from 1 to {n}.")
     if much.ndim != 1 or much.size not in (1, faulty.size):
         raise ConfigError(f"{much.size} losses for {faulty.size} rotors: give one for all, or one each.")
     if not np.all((much > 0) & (much < 1)):
-        raise ConfigError(
-            f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor."
-        )
+        raise ConfigError(f"loss {loss}: give shares above 0 and below 1; no vehicle flies as before with a dead rotor.")
     share = np.zeros(n)
     share[faulty - 1] = much
     return share
@@ -203,25 +189,17 @@ def campaign(
     rng = np.random.default_rng(seed)
     sources = [path if isinstance(path, Flight) else str(path) for path in paths]
     shared = {"scheduler": scheduler, "keep": keep}
-    surveys = tools.gathered(
-        _survey, sources, jobs, lambda s, text: report(0.05 * s, text), "healthy flights", **shared
-    )
+    surveys = tools.gathered(_survey, sources, jobs, lambda s, text: report(0.05 * s, text), "healthy flights", **shared)
     # Onsets are drawn here, in the order of the flights, so that the distribution of work changes nothing.
     parts: list[tuple] = []
     for source, survey in zip(sources, surveys, strict=True):
-        plan = [
-            (r, loss) for r in range(1, survey.rotors + 1) for loss in losses for _ in range(repeats) if survey.room
-        ]
+        plan = [(r, loss) for r in range(1, survey.rotors + 1) for loss in losses for _ in range(repeats) if survey.room]
         drawn = [(rotor, loss, draw(survey.room, rng)) for rotor, loss in plan]
         parts += [(source, drawn[k : k + PART]) for k in range(0, len(drawn), PART)]
     trials = tools.gathered(_trials, parts, jobs, lambda s, text: report(0.05 + 0.95 * s, text), "injecting", **shared)
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
-    healthy = {
-        "flights": len(surveys),
-        "hours": sum(s.judged_s for s in surveys) / 3600.0,
-        "false_alarms": sum(s.alarms for s in surveys),
-    }
+    healthy = {"flights": len(surveys), "hours": sum(s.judged_s for s in surveys) / 3600.0, "false_alarms": sum(s.alarms for s in surveys)}
     table = [_row(loss, [t for t in trials if t["loss"] == loss]) for loss in losses]
     return {
         "table": table, "healthy": healthy, "flights": sum(bool(s.room) for s in surveys), "seed": seed, "trials": trials,
@@ -294,11 +272,7 @@ def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:
 def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: float) -> dict:
     """Outcome of one injection."""
     counted = counting.count(raised, (rotor,), onset)
-    result: dict[str, Any] = {
-        "onset_s": onset,
-        "detected": counted.found,
-        "false_alarms": len(counted.false) + len(counted.wrong),
-    }
+    result: dict[str, Any] = {"onset_s": onset, "detected": counted.found, "false_alarms": len(counted.false) + len(counted.wrong)}
     if not counted.found:
         return result
     (_, sets, event), right = counted.own[0], counted.right
@@ -311,11 +285,7 @@ def _outcome(raised: Sequence[counting.Alarm], rotor: int, loss: float, onset: f
     }
     if right and event is not None and event.loss:
         low, high = event.interval[0]
-        result |= {
-            "loss_2s": event.extra["loss_2s"][0],
-            "loss_end": event.loss[0],
-            "covered": bool(low <= loss <= high),
-        }
+        result |= {"loss_2s": event.extra["loss_2s"][0], "loss_end": event.loss[0], "covered": bool(low <= loss <= high)}
     return result
 
 

@@ -56,9 +56,7 @@ class Zhang:
         "Kalman filter of constant losses"
     )
 
-    def __init__(
-        self, system, dt: float, *, memory_s: float | None = MEMORY_S, theta_var=0.01, s_max: float | None = 1.0
-    ):
+    def __init__(self, system, dt: float, *, memory_s: float | None = MEMORY_S, theta_var=0.01, s_max: float | None = 1.0):
         """dt: s. memory_s: time after which a measurement counts 1/e for the losses [s], None to forget nothing; theta_var: variance of
         the losses at the start, a number or one per theta; s_max: bound of that variance, None for none. Raises ConfigError for
         wrong values."""
@@ -75,9 +73,7 @@ class Zhang:
         x, P = jnp.asarray(self.system.x0, float), jnp.asarray(self.system.P0, float)
         return State(x, P, jnp.zeros(p), jnp.diag(self.theta_var), jnp.zeros((n, p)))
 
-    def recursion(
-        self, state: State, x, f: linearise.Linear, e, h: linearise.Linear, u, valid, dt
-    ) -> tuple[State, Estimate]:
+    def recursion(self, state: State, x, f: linearise.Linear, e, h: linearise.Linear, u, valid, dt) -> tuple[State, Estimate]:
         """`step` with this plant's noise."""
         dt = self.dt if dt is None else dt
         memory = Memory(self.memory_s, self.s_max)
@@ -93,9 +89,7 @@ def forget(S, memory: Memory, dt):
     return symmetric(definite_solve(lam * unit + gone / memory.s_max * S, S))
 
 
-def step(
-    state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, memory: Memory, dt
-) -> tuple[State, Estimate]:
+def step(state: State, x, f: linearise.Linear, e, h: linearise.Linear, Q, R, valid, memory: Memory, dt) -> tuple[State, Estimate]:
     """Update from the prediction x (n,) at the old theta, dt seconds later, with e (m,): y minus its prediction.
 
     f, h: the step, with F (n, n) and Phi (n, p), and the measurement, with C (m, n) and D (m, p). R (m,): variances. The equations

@@ -108,9 +108,7 @@ class Sparse:
         T = lax.dynamic_index_in_dim(jnp.asarray(self.places), best, axis=2, keepdims=False)  # (width, n)
         only = T @ Phi.T
         empty = jnp.where(jnp.abs(T).sum(axis=1) == 0.0, 1.0, _ridge(G))
-        M = T.T @ jax.scipy.linalg.cho_solve(
-            (jnp.linalg.cholesky((only * W) @ only.T + jnp.diag(empty)), True), only * W
-        )
+        M = T.T @ jax.scipy.linalg.cho_solve((jnp.linalg.cholesky((only * W) @ only.T + jnp.diag(empty)), True), only * W)
         odds = jnp.exp(-0.5 * away)
         scatter = (theta - chosen[:, None]) * jnp.sqrt(odds / odds.sum())
         return state, Answer(chosen, M, scatter @ scatter.T + self.rest_sd**2 * np.eye(self.n), count)
@@ -121,9 +119,7 @@ class Sparse:
         width = len(i)
         ridge = 1e-10 * jnp.diagonal(G) + _ridge(G)
         A = {(j, k): jnp.where(filled[j] & filled[k], G[i[j], i[k]], 0.0) for j in range(width) for k in range(j)}
-        A |= {
-            (k, k): jnp.where(filled[k], (jnp.diagonal(G) + ridge)[i[k]], 1.0) for k in range(width)
-        }  # empty places: 1
+        A |= {(k, k): jnp.where(filled[k], (jnp.diagonal(G) + ridge)[i[k]], 1.0) for k in range(width)}  # empty places: 1
         a = _solve(A, [jnp.where(filled[k], z[i[k]], 0.0) for k in range(width)])
         theta = sum(jnp.clip(a[k], self.low[i[k]], self.high[i[k]]) * self.places[k] for k in range(width))
         # Clipped before the score, so that the score is that of the answer.

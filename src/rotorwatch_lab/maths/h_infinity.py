@@ -94,17 +94,9 @@ def bounded_real(A, E, C, F=None) -> float:
     A, E, C, F = _system(A, E, C, F)
     n, n_w, n_z = len(A), E.shape[1], len(C)
     P, g = cp.Variable((n, n), symmetric=True), cp.Variable()
-    lemma = cp.bmat(
-        [
-            [A.T @ P + P @ A, P @ E, C.T],
-            [E.T @ P, -g * np.eye(n_w), F.T],
-            [C, F, -g * np.eye(n_z)],
-        ]
-    )
+    lemma = cp.bmat([[A.T @ P + P @ A, P @ E, C.T], [E.T @ P, -g * np.eye(n_w), F.T], [C, F, -g * np.eye(n_z)]])
     if not matrix_inequality.solved(cp.Problem(cp.Minimize(g), [lemma << 0, P >> 0])) or g.value is None:
-        raise ConfigError(
-            "The solver finds no level of the bounded real lemma; is the system stable, and are its states well scaled?"
-        )
+        raise ConfigError("The solver finds no level of the bounded real lemma; is the system stable, and are its states well scaled?")
     return float(g.value)
 
 
@@ -175,9 +167,7 @@ def checked(A, B, E, C, D, K, X, dt=None) -> Synthesis:
     closed = closed if closed.ndim == 3 else closed[None]
     decay = quadratic_decay(closed, X)
     if not decay > 0:
-        raise ConfigError(
-            f"The solver's controller does not make the Lyapunov function fall at all vertices (decay {decay:.3g}/s)."
-        )
+        raise ConfigError(f"The solver's controller does not make the Lyapunov function fall at all vertices (decay {decay:.3g}/s).")
     if dt is not None and not contraction(np.eye(len(X)) + dt * closed, X) < 1.0:
         raise ConfigError(f"The solver's controller is not stable when it is sampled each {dt:g} s.")
     z = C + D @ K
@@ -249,9 +239,7 @@ def _gains(omega, A, E, C, F) -> np.ndarray:
 def _peak(A, E, C, F, low, high) -> float:
     from scipy.optimize import minimize_scalar
 
-    peak = minimize_scalar(
-        lambda w: -_gains([w], A, E, C, F)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-9 * high}
-    )
+    peak = minimize_scalar(lambda w: -_gains([w], A, E, C, F)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-9 * high})
     return float(-peak.fun)
 
 

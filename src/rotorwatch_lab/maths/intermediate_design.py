@@ -184,9 +184,7 @@ def checked(A, C, E, N, alpha, epsilon, L, mu) -> Synthesis:
     """L and mu as a `Synthesis` when Sigma's eigenvalues confirm them; raises ConfigError when not."""
     values = np.linalg.eigvalsh(sigma(A, C, E, N, L, alpha, epsilon, mu))
     if mu <= 0 or values.max() >= -MARGIN * np.abs(values).max():
-        raise ConfigError(
-            f"The gains do not satisfy the matrix inequality: mu = {mu:.3g}, largest eigenvalue of Sigma {values.max():.3g}."
-        )
+        raise ConfigError(f"The gains do not satisfy the matrix inequality: mu = {mu:.3g}, largest eigenvalue of Sigma {values.max():.3g}.")
     return Synthesis(L, mu, float(values.max()))
 
 

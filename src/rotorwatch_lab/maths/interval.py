@@ -51,17 +51,14 @@ def second_order_remainder(function, centre, lo, hi):
     def second_derivatives(z):
         """(n (n + 1) / 2, m): of every pair of directions."""
         unit = np.eye(n)
-        return jax.vmap(lambda a, b: jax.jvp(lambda point: jax.jvp(function, (point,), (a,))[1], (z,), (b,))[1])(
-            unit[i], unit[j]
-        )
+        return jax.vmap(lambda a, b: jax.jvp(lambda point: jax.jvp(function, (point,), (a,))[1], (z,), (b,))[1])(unit[i], unit[j])
 
     lo, hi = jnp.minimum(lo, centre), jnp.maximum(hi, centre)  # the way there belongs to the box
     H = _ends(evaluate(second_derivatives, Interval(lo, hi)))
     low, high = lo - centre, hi - centre
     products = _multiply(None, Interval(low[i], high[i]), Interval(low[j], high[j]))
     pairs = Interval(  # half of a square, and the whole of two equal products
-        jnp.where(i == j, 0.0, products.lo),
-        jnp.where(i == j, 0.5 * jnp.maximum(low[i] ** 2, high[i] ** 2), products.hi),
+        jnp.where(i == j, 0.0, products.lo), jnp.where(i == j, 0.5 * jnp.maximum(low[i] ** 2, high[i] ** 2), products.hi)
     )
     terms = _multiply(None, H, Interval(pairs.lo[:, None], pairs.hi[:, None]))
     return Interval(terms.lo.sum(0), terms.hi.sum(0))
@@ -189,10 +186,7 @@ def _wave(a, crest: float):
         return jnp.ceil((a.lo - place) / (2 * math.pi)) * 2 * math.pi + place <= a.hi
 
     ends = _hull(jnp.cos(a.lo - crest), jnp.cos(a.hi - crest))
-    return Interval(
-        jnp.where(touches(crest + math.pi), -1.0, ends.lo),
-        jnp.where(touches(crest), 1.0, ends.hi),
-    )
+    return Interval(jnp.where(touches(crest + math.pi), -1.0, ends.lo), jnp.where(touches(crest), 1.0, ends.hi))
 
 
 def _tangent(equation, a):

@@ -101,9 +101,7 @@ def measured(regression: Row, y: Array, valid: Array, theta: Array) -> Known:
     return Known(x, symmetric(P), regression.Upsilon - K @ regression.Omega)
 
 
-def estimate(
-    regression: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array
-) -> Estimate:
+def estimate(regression: Row, after: Known, valid: Array, before_cov: Array, theta: Array, theta_cov: Array) -> Estimate:
     """The posterior of a step; the innovation is against the losses before it, whose covariance was before_cov."""
     e = jnp.where(valid, regression.z - regression.Omega @ regression.theta, 0.0)
     S = symmetric(regression.S + regression.Omega @ before_cov @ regression.Omega.T)

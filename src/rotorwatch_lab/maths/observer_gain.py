@@ -91,9 +91,7 @@ def stationary(system, dt: float, *, x=None, u=None):
         G, P = 0.5 * (G + G.T), 0.5 * (P + P.T)
     L = F @ xp.linalg.solve(C @ P @ C.T + xp.diag(R), C @ P).T
     if xp is np and not np.isfinite(L).all():
-        raise ConfigError(
-            "There is no stationary gain: what is measured does not observe the whole state at this point."
-        )
+        raise ConfigError("There is no stationary gain: what is measured does not observe the whole state at this point.")
     return L
 
 
@@ -124,9 +122,7 @@ def common_lyapunov(F, C, decay: float, *, scale=None) -> Contraction:
     L = np.linalg.solve(G_, _value(Y))
     reached = contraction(scaled, seen, L, G_)
     if not reached < 1.0 or reached > decay + 1e-4:
-        raise ConfigError(
-            f"The solver's gain contracts by {reached:.6g} a step, not by {decay:g}; scale the states better."
-        )
+        raise ConfigError(f"The solver's gain contracts by {reached:.6g} a step, not by {decay:g}; scale the states better.")
     return Contraction(T[:, None] * L, G_ / T / T[:, None], reached)
 
 

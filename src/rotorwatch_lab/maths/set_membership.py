@@ -127,9 +127,7 @@ class SetMembership:
             self.weights = np.repeat([1e-3, 1.0], [n_x, n_theta]) if self.cut == "trace" else np.ones(self.n)
         self.theta_prior = np.diag(reach**2)
         self.prior = self.near_prior = blocks(np.asarray(bound**2 * np.asarray(system.P0)), self.theta_prior)
-        self.product_scale = blocks(
-            np.full((n_x, n_x), PRODUCT_SCALE[0]), np.full((n_theta, n_theta), PRODUCT_SCALE[1])
-        )
+        self.product_scale = blocks(np.full((n_x, n_x), PRODUCT_SCALE[0]), np.full((n_theta, n_theta), PRODUCT_SCALE[1]))
         if form == "ud":
             self.prior = ellipsoid.factored(self.prior)
 
@@ -171,24 +169,11 @@ class SetMembership:
         S = symmetric(product(product(H, P_prior), H.T))
         S = jnp.where(jnp.isfinite(S).all(), S, jnp.eye(len(e)) * UNBOUNDED**2)
         R = jnp.diag(limit)
-        q = self.adapt(
-            carry.q,
-            Cutting(ahead.Phi, jnp.where(valid[:, None], H, 0.0), e, P_prior, R, ahead.amplify),
-            cut.health,
-            step,
-        )
+        q = self.adapt(carry.q, Cutting(ahead.Phi, jnp.where(valid[:, None], H, 0.0), e, P_prior, R, ahead.amplify), cut.health, step)
         P = symmetric(self.unfactored(shape_new))
         status = jnp.where(valid.any(), 0, 2).astype(jnp.int32)
         new = Carry(z_new, shape_new, q, carry.restarts + empty.astype(jnp.int32), cut.health, *near)
-        return new, Estimate(
-            z_new[:n_x],
-            P[:n_x, :n_x],
-            z_new[n_x:],
-            P[n_x:, n_x:],
-            e,
-            symmetric(ellipsoid.minkowski(S, R)[0]),
-            status,
-        )
+        return new, Estimate(z_new[:n_x], P[:n_x, :n_x], z_new[n_x:], P[n_x:, n_x:], e, symmetric(ellipsoid.minkowski(S, R)[0]), status)
 
     def _again(self, carry, u, y, valid, dt):
         """(z, shape, near, near_shape) after a measurement that no state of the set explains: a fault jumped.
@@ -226,9 +211,7 @@ class SetMembership:
             SH = S @ H.T
 
             def cut(weight):
-                return ellipsoid.joint_cut(
-                    start, S, H, e, errors, weight, *ellipsoid.joint_gains(SH, H @ SH, e, errors, weight)
-                )
+                return ellipsoid.joint_cut(start, S, H, e, errors, weight, *ellipsoid.joint_gains(SH, H @ SH, e, errors, weight))
 
             cuts = jax.vmap(cut)(weights * jnp.where(first, 1e-9, 1.0))
             a, P = cuts.a[-1], cuts.P[-1]
@@ -241,11 +224,7 @@ class SetMembership:
             pick = (jnp.arange(len(weights)) == jnp.argmin(size)).astype(float)
             best_a, best_P = pick @ cuts.a, jnp.tensordot(pick, cuts.P, 1)
             Phi = jnp.concatenate([J[:n_x], jnp.eye(n)[n_x:]])
-            ahead = (
-                jnp.concatenate([value[:n_x] + J[:n_x] @ (best_a - point), best_a[n_x:]]),
-                Phi @ best_P @ Phi.T,
-                rest[:n_x],
-            )
+            ahead = (jnp.concatenate([value[:n_x] + J[:n_x] @ (best_a - point), best_a[n_x:]]), Phi @ best_P @ Phi.T, rest[:n_x])
             proved = proved | first
             best = [jnp.where(proved, new, old) for new, old in zip((*ahead, a, P), best, strict=True)]
             return (jnp.where(fine, a, point), jnp.where(fine, MARGIN * rest[n_x:], allowed), best), None
@@ -260,9 +239,7 @@ class SetMembership:
         left, right = ellipsoid.parts(ahead.b)
         z, P = jnp.where(fine, cut.a, ahead.z), jnp.where(fine, cut.P, left * ahead.moved + right * ahead.noise)
         near = jnp.concatenate([jnp.where(fine, x.a, z)[:n_x], point[n_x:]])
-        near_shape = blocks(
-            jnp.where(fine, x.P, P)[:n_x, :n_x], ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp
-        )
+        near_shape = blocks(jnp.where(fine, x.P, P)[:n_x, :n_x], ellipsoid.minkowski(around[n_x:, n_x:], self._walk(dt))[0], jnp)
         return z, ellipsoid.factored(P) if self.form == "ud" else P, near, near_shape
 
     def adapt(self, q, cutting: Cutting, health, dt):
@@ -280,16 +257,10 @@ class SetMembership:
     def noise(self, dt, q):
         """(n, n) shape that bounds one step's noise, factors q (n,) on its diagonal. x's noise and theta's drift may be on their
         bounds at the same time, so it is a sum of two sets and not one ellipsoid with both as semi-axes."""
-        Q = (
-            self._radius(self.n_x) ** 2 * self.system.Q(dt)
-            if self.process is None
-            else jnp.diag(jnp.asarray(self.process) ** 2)
-        )
+        Q = self._radius(self.n_x) ** 2 * self.system.Q(dt) if self.process is None else jnp.diag(jnp.asarray(self.process) ** 2)
         still, unmoved = jnp.zeros((self.n_x, self.n_x)), jnp.zeros((self.system.n_theta,) * 2)
         root = jnp.sqrt(q)
-        noise, drift = (
-            part * root * root[:, None] for part in (blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp))
-        )
+        noise, drift = (part * root * root[:, None] for part in (blocks(Q, unmoved, jnp), blocks(still, self._walk(dt), jnp)))
         return ellipsoid.minkowski(noise, drift, self.weights)[0]
 
     def _walk(self, dt):
@@ -370,17 +341,11 @@ class SetMembership:
         left, right = (part[:, None, None] for part in ellipsoid.parts(share * ahead.b / (1 + (share - 1) * ahead.b)))
         PH = product(jnp.stack([ahead.moved, ahead.noise]), H.T)
         S = product(H, PH)
-        P, PH, S_all = (
-            left * ahead.moved + right * ahead.noise,
-            left * PH[0] + right * PH[1],
-            left * S[0] + right * S[1],
-        )
+        P, PH, S_all = (left * ahead.moved + right * ahead.noise, left * PH[0] + right * PH[1], left * S[0] + right * S[1])
         K, health = jax.vmap(ellipsoid.joint_gains, (0, 0, None, None, 0))(PH, S_all, e, R, weight)
         size = health * (self.weights * (P.diagonal(axis1=1, axis2=2) - (K * PH).sum(2))).sum(1)
         second = size[1] < size[0]
-        P, K, health, weight = (
-            jnp.stack([jnp.where(second, a[1], a[0]), a[2]]) for a in (P, K, health, jnp.asarray(weight))
-        )
+        P, K, health, weight = (jnp.stack([jnp.where(second, a[1], a[0]), a[2]]) for a in (P, K, health, jnp.asarray(weight)))
         reach = jnp.sqrt(limit) + jnp.sqrt(jnp.maximum(S.diagonal(axis1=1, axis2=2), 0.0)).sum(0)
         possible = jnp.minimum(health.min(), 1.0 - (jnp.abs(e) / reach).max())
         health = health - jnp.where(valid.any(), 0.0, weight)  # a gap costs nothing
@@ -426,9 +391,7 @@ class SetMembership:
         if self.form == "batch":
             cut, _, _ = ellipsoid.batch_cut(z, shape, jnp.where(valid[:, None], H, 0.0), e, jnp.diag(limit))
             usable = valid.any() & (cut.health > 0)
-            return ellipsoid.Cut(
-                jnp.where(usable, cut.a, z), jnp.where(usable, cut.P, shape), jnp.where(valid.any(), cut.health, 1.0)
-            )
+            return ellipsoid.Cut(jnp.where(usable, cut.a, z), jnp.where(usable, cut.P, shape), jnp.where(valid.any(), cut.health, 1.0))
 
         if self.form == "ud":
             return self._rows(ellipsoid.ud_strip_cut, z, shape, H, e, limit, valid)

@@ -37,10 +37,7 @@ def expand(function, a, slope, metric=None, lo=None, hi=None) -> tuple:
     rules = _Rules(k, metric is not None)
     both = slope if metric is None else jnp.concatenate([slope, metric @ slope])
     reach = rules.size(both)
-    ends = [
-        a - reach if lo is None else jnp.maximum(a - reach, lo),
-        a + reach if hi is None else jnp.minimum(a + reach, hi),
-    ]
+    ends = [a - reach if lo is None else jnp.maximum(a - reach, lo), a + reach if hi is None else jnp.minimum(a + reach, hi)]
     start = Model(a, both, jnp.zeros(a.shape), *ends)
     model = interval.walk(closed.jaxpr, closed.consts, [start], rules.apply, (Model, Interval))[0]
     if not isinstance(model, Model):
@@ -220,6 +217,4 @@ MOVING = frozenset(
 )
 LINEAR = MOVING | frozenset("neg add add_any sub pad reduce_sum cumsum convert_element_type real".split())
 BILINEAR = frozenset(("mul", "div", "dot_general", "triangular_solve"))
-SMOOTH = frozenset(
-    "sin cos tan exp log sqrt rsqrt integer_pow square tanh log1p expm1 exp2 atan sinh asinh logistic".split()
-)
+SMOOTH = frozenset("sin cos tan exp log sqrt rsqrt integer_pow square tanh log1p expm1 exp2 atan sinh asinh logistic".split())

@@ -61,9 +61,7 @@ def initial(system: Any, P_theta: Array) -> State:
     )
 
 
-def predict(
-    system: Any, w: unscented.Weights, s: State, Q_theta: Array, u: Array, y: Array, valid: Array, dt: Array
-) -> Prediction:
+def predict(system: Any, w: unscented.Weights, s: State, Q_theta: Array, u: Array, y: Array, valid: Array, dt: Array) -> Prediction:
     """Predict one step ahead, and the measurement expected there. Q_theta (n_theta, n_theta): growth of P_theta in this step."""
     L = unscented.root(s.P_free)
     moved = unscented.transform(lambda x: system.f(x, u, s.theta, dt), s.x, L, w)

@@ -163,9 +163,7 @@ class Unscented:
     name = not_kalman = called = ""
     joint = True
 
-    def __init__(
-        self, system: Any, dt: float, *, theta_walk=1e-3, theta_var=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0
-    ):
+    def __init__(self, system: Any, dt: float, *, theta_walk=1e-3, theta_var=1e-2, clip=False, alpha=0.1, beta=2.0, kappa=0.0):
         """dt: step [s]. theta_walk: variance that a loss gains per second [1/s]; theta_var: its variance at the start; each a
         number for all, one for each (n_theta,), or a covariance. clip: keep actuators' losses in [0, 1]. alpha, beta, kappa:
         where the points lie, `unscented.weights`. Raises ConfigError.

@@ -175,15 +175,11 @@ def ask(
             "The noise is that of simulated multirotors in a light wind; a log of the vehicle says it better.",
         )
         usual = np.full(n, HOVER if hover is None else hover)
-        question = excitation_response.Question(
-            hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s
-        )
+        question = excitation_response.Question(hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
     about = question.hover, question.noise, question.gain, question.dt
     design = excitation.design(B, list(hypotheses.values()), *about, limits, longest_s=within_s)
     rotor_sets = tuple(tuple(k + 1 for k in c) for c in hypotheses)
-    return Asking(
-        name, B.shape[1], rotor_sets, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes
-    )
+    return Asking(name, B.shape[1], rotor_sets, np.stack(list(hypotheses.values())), B, question.hover, question.dt, design, notes)
 
 
 def _is_log(subject: Any) -> bool:
@@ -226,11 +222,7 @@ def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, exc
     B = craft.effectiveness()
     carry, out = program.estimate(table, B)
     unsure = [e for e in events.read(out, table, B) if e.alternatives]
-    sets = (
-        excitation_response.candidates(unsure[-1], B) if unsure else excitation_response.suspects(carry, out, table, B)
-    )
+    sets = excitation_response.candidates(unsure[-1], B) if unsure else excitation_response.suspects(carry, out, table, B)
     if not sets:
-        raise ConfigError(
-            "The diagnosis of this log names no alternatives, and its trim has not changed: there is nothing to ask."
-        )
+        raise ConfigError("The diagnosis of this log names no alternatives, and its trim has not changed: there is nothing to ask.")
     return craft.name, B, excitation_response.question(sets, carry, table, B)

@@ -144,9 +144,7 @@ class Survival:
             if np.isfinite(reach).all():
                 style = {"lw": 1, "label": f"rotor {rotor}"} if rotor else {"color": "k", "lw": 2, "label": "healthy"}
                 right.plot(reach * np.sin(angle), reach * np.cos(angle), **style)
-        right.set(
-            title="Moments left at hover, yaw not counted", xlabel="pitch [N m]", ylabel="roll [N m]", aspect="equal"
-        )
+        right.set(title="Moments left at hover, yaw not counted", xlabel="pitch [N m]", ylabel="roll [N m]", aspect="equal")
         right.legend(frameon=False, fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
         if path is not None:
             with files.replacing(path) as unfinished:
@@ -216,9 +214,7 @@ def _case(airframe: Airframe, rotors: tuple[int, ...], loss: float, servo: bool)
             verdict = SPINNING if spinning.design(airframe, hover) is not None else NO
         hover = None if verdict == NO else hover
     held = verdict in (FULL, NO_YAW)
-    roll, pitch, yaw = (
-        float(x) if held and np.isfinite(x) else None for x in (margins.roll, margins.pitch, margins.yaw)
-    )
+    roll, pitch, yaw = (float(x) if held and np.isfinite(x) else None for x in (margins.roll, margins.pitch, margins.yaw))
     wind = _wind(airframe, e, verdict == NO_YAW or servo) if held else None
     turning = (hover.rate, hover.tilt) if hover else (None, None)
     lift, depth = float(margins.lift), float(margins.depth)
@@ -288,9 +284,7 @@ def _numbers(vehicle: Any, options: dict[str, float]) -> tuple[str, Airframe, bo
         known = vehicle_file.read(name)
     for key, value in options.items():
         if key == "thrust_to_weight" and not value > 1.0:
-            raise ConfigError(
-                f"A thrust of {value:g} times the weight carries no vehicle: give --thrust-to-weight above 1."
-            )
+            raise ConfigError(f"A thrust of {value:g} times the weight carries no vehicle: give --thrust-to-weight above 1.")
         checks.positive(key, value)
     assumptions = []
     if known is not None:
@@ -305,9 +299,7 @@ def _numbers(vehicle: Any, options: dict[str, float]) -> tuple[str, Airframe, bo
         plan = scenario.from_table({"airframe": {"frame": "quad-x", **fields}})
     elif name in airframes.papers():
         if options:
-            raise ConfigError(
-                f"{name} is a paper's airframe, whose mass, thrust and size are known: leave the options out."
-            )
+            raise ConfigError(f"{name} is a paper's airframe, whose mass, thrust and size are known: leave the options out.")
         plan = scenario.from_table({"airframe": {"frame": name}})
     else:
         known = airframes.named(name)
@@ -320,9 +312,7 @@ def _numbers(vehicle: Any, options: dict[str, float]) -> tuple[str, Airframe, bo
     craft = prepare.craft(plan, known)
     servo = known is not None and not any(r.spin for r in known.rotors)
     if known is not None and not servo and not all(r.spin for r in known.rotors):
-        raise VehicleError(
-            f"Some rotors of {name} are tilted, which is not reckoned with; only upright rotors can be judged."
-        )
+        raise VehicleError(f"Some rotors of {name} are tilted, which is not reckoned with; only upright rotors can be judged.")
     if servo:
         assumptions.append("Yaw is a servo's and taken as sound; it is not judged.")
     airframe = Airframe.of(craft)

@@ -57,9 +57,7 @@ class Threshold:
 
     def init(self) -> Carry:
         """The state before any estimate."""
-        return Carry(
-            np.zeros(4), np.full(4, 0.1**2), np.float64(0.0), np.float64(0.0), np.int32(0), np.int32(-1), np.int32(0)
-        )
+        return Carry(np.zeros(4), np.full(4, 0.1**2), np.float64(0.0), np.float64(0.0), np.int32(0), np.int32(-1), np.int32(0))
 
     def step(self, carry: Carry, estimate, dt) -> tuple[Carry, Decision]:
         """Advance by dt seconds."""

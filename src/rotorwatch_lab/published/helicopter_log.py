@@ -156,15 +156,11 @@ def method(name: Any, airframe: str, dt: float) -> Any:
     load_jax()
     kind = discovery.estimator(name)
     if name == "default":
-        raise ConfigError(
-            "The default estimator is made for multirotors; name a published one for a helicopter (docs/methods)."
-        )
+        raise ConfigError("The default estimator is made for multirotors; name a published one for a helicopter (docs/methods).")
     try:
         system = Helicopter(craft, PROCESS_SD, VELOCITY_SD, RATE_SD)
     except (TypeError, ValueError, KeyError, AttributeError) as why:
-        raise ConfigError(
-            f"The airframe {airframe} holds a value that is no number, or none of the right size ({why})."
-        ) from None
+        raise ConfigError(f"The airframe {airframe} holds a value that is no number, or none of the right size ({why}).") from None
     known = inspect.signature(kind).parameters
     return kind(system, dt, **{key: value for key, value in _tuning(kind).items() if key in known})
 
@@ -207,9 +203,7 @@ def estimate(flight: Flight, airframe: str, name: Any, lag_s: float = LAG_S, pro
     since = table.time - table.time[0]
     level = (since > LEARN_S[0]) & (since <= LEARN_S[1])
     if not level.any():
-        raise LogError(
-            f"{flight.name or 'The log'} is shorter than the {LEARN_S[1]:g} s that a helicopter's trim takes to learn."
-        )
+        raise LogError(f"{flight.name or 'The log'} is shorter than the {LEARN_S[1]:g} s that a helicopter's trim takes to learn.")
     deviation = deviation - deviation[level].mean(axis=0)
     off = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
     series = own.series(discovery.title(name), estimator, itself, table.time, 1, table.dt, notes(estimator))

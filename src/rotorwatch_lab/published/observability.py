@@ -98,12 +98,7 @@ class Observability:
             "unknowns": self.unknowns,
             "losses": list(self.theta_names),
             "cases": [
-                {
-                    "name": case.name,
-                    "rank": case.rank,
-                    "singular_values": case.singular_values.tolist(),
-                    "loss_sd": case.sd.tolist(),
-                }
+                {"name": case.name, "rank": case.rank, "singular_values": case.singular_values.tolist(), "loss_sd": case.sd.tolist()}
                 for case in self.cases
             ],
             "alike": [{"one": list(p.one), "other": list(p.other), "separation": p.separation} for p in self.alike],
@@ -126,12 +121,7 @@ class Observability:
         time = np.linspace(0.0, PERIOD_S, len(moving.along), endpoint=False)
         left.semilogy(time, np.maximum(moving.along, 1e-18), color="tab:blue", lw=1)
         left.axhline(RANK, color="0.6", ls=":", lw=1)
-        left.set(
-            title=f"Singular values: {moving.name}",
-            xlabel="time [s]",
-            ylabel="relative to the largest",
-            ylim=(1e-12, 2),
-        )
+        left.set(title=f"Singular values: {moving.name}", xlabel="time [s]", ylabel="relative to the largest", ylim=(1e-12, 2))
         place = np.arange(len(hover.sd))
         for case, shift, colour in ((hover, -0.2, "0.6"), (moving, 0.2, "tab:blue")):
             right.bar(place + shift, 100 * case.sd, 0.4, label=case.name, color=colour)
@@ -186,12 +176,8 @@ def observability(subject: Vehicle | str | Any, x=None, u=None, progress=None) -
     hidden = np.linalg.svd(seen)[2][np.linalg.matrix_rank(seen, tol=1e-8) :] if len(seen) else np.eye(system.n_theta)
     rotors = min(system.n_u, system.n_theta)
     information = np.linalg.inv(covariances[1][system.n_x :, system.n_x :]) - np.eye(system.n_theta) / THETA_SD**2
-    alike = tuple(
-        Alike(one, other, _separation(seen, one, other, information)) for one, other in ambiguous_sets(seen[:, :rotors])
-    )
-    return Observability(
-        name, system.n_x + system.n_theta, plants.theta_names(system), (cases[0], cases[1]), alike, hidden
-    )
+    alike = tuple(Alike(one, other, _separation(seen, one, other, information)) for one, other in ambiguous_sets(seen[:, :rotors]))
+    return Observability(name, system.n_x + system.n_theta, plants.theta_names(system), (cases[0], cases[1]), alike, hidden)
 
 
 def plant(subject) -> tuple[str, Any]:
@@ -202,9 +188,7 @@ def plant(subject) -> tuple[str, Any]:
             table = airframes.paper(subject)
             if {"mass", "inertia", "thrust_max", "drag_ratio"} <= table.keys() and "rotors" in table:
                 return subject, RateDynamics.of(table)
-            raise ConfigError(
-                f"The airframe {subject} is no multirotor; give its plant to rotorwatch.observability instead."
-            )
+            raise ConfigError(f"The airframe {subject} is no multirotor; give its plant to rotorwatch.observability instead.")
         subject = airframes.named(subject)
     if isinstance(subject, Vehicle):
         B = subject.effectiveness()
@@ -397,8 +381,6 @@ def shake(x0, u0) -> tuple[np.ndarray, np.ndarray]:
 def derivatives(signal: np.ndarray, orders: int) -> np.ndarray:
     """(T, orders + 1, n): a periodic signal (T, n) of period PERIOD_S and its time derivatives, exact to rounding: Fourier series."""
     rows = np.fft.rfft(signal, axis=0)
-    rows[np.abs(rows) < 1e-13 * np.abs(rows).max(initial=1e-300)] = (
-        0.0  # rounding, which high derivatives would blow up
-    )
+    rows[np.abs(rows) < 1e-13 * np.abs(rows).max(initial=1e-300)] = 0.0  # rounding, which high derivatives would blow up
     w = 2j * np.pi / PERIOD_S * np.arange(len(rows))
     return np.stack([np.fft.irfft(w[:, None] ** k * rows, len(signal), axis=0) for k in range(orders + 1)], axis=1)

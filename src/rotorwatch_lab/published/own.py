@@ -31,9 +31,7 @@ def says(estimator: Any) -> str:
     return SET if isinstance(estimator, SetMembership) else INTERVAL
 
 
-def series(
-    name: str, estimator: Any, outputs: Own, time: np.ndarray, hop: int, dt: float, notes: Sequence[str] = ()
-) -> MethodSeries:
+def series(name: str, estimator: Any, outputs: Own, time: np.ndarray, hop: int, dt: float, notes: Sequence[str] = ()) -> MethodSeries:
     """The stacked outputs of an estimator as series. time (T,): ends of the steps [s]; hop: which flight of the log, from 1."""
     system = estimator.system
 

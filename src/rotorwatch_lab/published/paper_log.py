@@ -74,9 +74,7 @@ def numbers(vehicle: Vehicle) -> Numbers:
         )
     for name in ("mass_kg", "arm_m", "drag_ratio_m"):
         checks.positive(name, extra[name])
-    J = np.asarray(
-        checks.positive("inertia_kg_m2", checks.shape("inertia_kg_m2", np.asarray(extra["inertia_kg_m2"], float), 3))
-    )
+    J = np.asarray(checks.positive("inertia_kg_m2", checks.shape("inertia_kg_m2", np.asarray(extra["inertia_kg_m2"], float), 3)))
     n, m = len(vehicle.rotors), float(extra["mass_kg"])
     place = np.array([(r.x, r.y) for r in vehicle.rotors])
     x, y = (place * float(extra["arm_m"]) / np.hypot(*place.T).max()).T
@@ -86,9 +84,7 @@ def numbers(vehicle: Vehicle) -> Numbers:
     return Numbers(m, J, levers * thrust, thrust)
 
 
-def estimate(
-    name: Any, flight: Flight, vehicle: Vehicle, table: Ticks, hops: Sequence[LogPlant], progress=None
-) -> MethodSeries:
+def estimate(name: Any, flight: Flight, vehicle: Vehicle, table: Ticks, hops: Sequence[LogPlant], progress=None) -> MethodSeries:
     """The method on its paper's plant over the hops of a flight (`log_plant.hops` of its ticks). Raises ConfigError for a method whose
     paper has no multirotor, for numbers that are missing, and for a log without the plant's measurements."""
     kind = discovery.estimator(name)
@@ -104,9 +100,7 @@ def estimate(
         system, y = fill(known, hop, _seen(flight, hop, time))
         lacking = [n for n, column in zip(system.y_names, y.T) if not np.isfinite(column).any()]
         if lacking:
-            raise ConfigError(
-                f"{flight.name or 'The log'} lacks {', '.join(lacking)}: the plant of {title}'s paper measures them."
-            )
+            raise ConfigError(f"{flight.name or 'The log'} lacks {', '.join(lacking)}: the plant of {title}'s paper measures them.")
         estimator = kind(system, hop.dt)
         valid = np.isfinite(y)
         # Mean rates lag half a tick behind; what is sampled at a tick's end moved with that tick's commands.
@@ -140,9 +134,7 @@ def _seen(flight: Flight, hop: LogPlant, time: np.ndarray) -> Seen:
     q = _latest(flight.signals.get("attitude"), time)
     angles = nothing if q is None else _euler(q)
     position, velocity = (_latest(flight.signals.get(name), time) for name in ("position", "velocity"))
-    return Seen(
-        angles, rates, nothing if position is None else position, nothing if velocity is None else velocity, f_z
-    )
+    return Seen(angles, rates, nothing if position is None else position, nothing if velocity is None else velocity, f_z)
 
 
 def _latest(signal: Signal | None, time: np.ndarray) -> np.ndarray | None:
@@ -178,13 +170,7 @@ def _first(y: np.ndarray) -> np.ndarray:
 def _rates(known: Numbers, hop: LogPlant, seen: Seen) -> tuple[Any, np.ndarray]:
     gyro, accel = (hop.parameters[part] for part in ("gyro_sd", "accel_sd"))
     system = RateDynamics(
-        np.diag(known.J),
-        known.B_tau,
-        known.B_T,
-        known.m,
-        gyro_sd=gyro,
-        accel_sd=float(accel),
-        torque_sd=_torque_sd(known, hop),
+        np.diag(known.J), known.B_tau, known.B_T, known.m, gyro_sd=gyro, accel_sd=float(accel), torque_sd=_torque_sd(known, hop)
     )
     return system, np.column_stack([seen.rates, seen.f_z])
 
@@ -214,15 +200,11 @@ def _hover(known: Numbers, hop: LogPlant, seen: Seen) -> tuple[Any, np.ndarray]:
 
 def _body(known: Numbers, hop: LogPlant, seen: Seen) -> tuple[Any, np.ndarray]:
     y = np.column_stack([seen.position, seen.angles])
-    walk = np.concatenate(
-        [np.full(3, 1e-6), np.full(3, 1e-8), np.full(3, FORCE_SD**2), (_torque_sd(known, hop) / known.J) ** 2]
-    )
+    walk = np.concatenate([np.full(3, 1e-6), np.full(3, 1e-8), np.full(3, FORCE_SD**2), (_torque_sd(known, hop) / known.J) ** 2])
     sd: Any = np.repeat([POSITION_SD, ANGLE_SD], 3)
     start = np.concatenate([_first(y), np.zeros(6)])
     spread = np.repeat([POSITION_SD, ANGLE_SD, 1.0, 0.3], 3) ** 2
-    system = RigidBody(
-        np.diag(known.J), known.B_tau, known.B_T, known.m, measured_sd=sd, walk=walk, x0=start, P0=np.diag(spread)
-    )
+    system = RigidBody(np.diag(known.J), known.B_tau, known.B_T, known.m, measured_sd=sd, walk=walk, x0=start, P0=np.diag(spread))
     return system, y
 
 

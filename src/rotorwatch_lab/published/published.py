@@ -162,9 +162,7 @@ def run_hop(
         outputs = run_built(build, parameters, *rows, both, progress, estimator.init(), backend)[1]
     except (load_jax().errors.JAXTypeError, ConfigError):  # its design needs values: compiled for this flight alone
         outputs = run(estimator, *rows, both, progress, backend=backend)[1]
-    series = own.series(
-        discovery.title(name), estimator.estimator, outputs[0], time[hop.rows], number, hop.dt, PLANT_NOTES
-    )
+    series = own.series(discovery.title(name), estimator.estimator, outputs[0], time[hop.rows], number, hop.dt, PLANT_NOTES)
     return series, outputs[1]
 
 
@@ -202,9 +200,7 @@ def estimation(
     return Estimation(out, series, tuple(notes(discovery.title(name))), decide.LIMIT)
 
 
-def itself(
-    name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None
-) -> MethodSeries:
+def itself(name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None) -> MethodSeries:
     """Raw output of the method on the judged ticks of a flight with at least one such hop, without decisions."""
     return joined([run_hop(name, hop, B, table.time, k, tuning, progress)[0] for k, hop in enumerate(hops, start=1)])
 
@@ -241,17 +237,10 @@ def record(out: TickOutput, seen: Seen, hop: LogPlant, hyp: Hypotheses, B: np.nd
     weighted = np.einsum("ai,ta,ai->ti", B, weight, B)
     out.theta[rows], out.theta_sd[rows] = losses, sd
     out.innovation[rows], out.innovation_var[rows] = seen.innovation * to_wrench, seen.innovation_var * to_wrench**2
-    out.log_odds[rows], out.statistic[rows], out.best[rows], out.onset[rows] = (
-        seen.log_odds,
-        seen.statistic,
-        best,
-        onset,
-    )
+    out.log_odds[rows], out.statistic[rows], out.best[rows], out.onset[rows] = (seen.log_odds, seen.statistic, best, onset)
     out.probability[rows] = probability / probability.sum(axis=1, keepdims=True)
     out.announced[rows] = announced
-    out.onsets[rows], out.active[rows], out.share[rows] = _explanations(
-        announced, active, onset, out.probability[rows], hyp
-    )
+    out.onsets[rows], out.active[rows], out.share[rows] = _explanations(announced, active, onset, out.probability[rows], hyp)
     out.detectable[rows] = np.maximum(decide.SIGMAS / np.sqrt(weighted), decide.LEAST) / 1.96
     out.biases[rows] = (hop.u * (seen.theta[:, :n] - losses)) @ B.T
 
@@ -278,11 +267,7 @@ def _follow(seen: Seen, hyp: Hypotheses, dt: float):
                 current, quiet = frozenset(), 0
         rotors = frozenset(hyp.rotors[seen.best[k]])
         if seen.alarm[k] and rotors != current and not announced[k]:
-            if (
-                not current
-                or rotors > current
-                or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, same_set].max() + OTHER_NATS
-            ):
+            if not current or rotors > current or seen.log_odds[k, seen.best[k]] > seen.log_odds[k, same_set].max() + OTHER_NATS:
                 announced[k], current, quiet = True, rotors, 0
         if announced[k]:
             same_set = np.array([h for h, s in enumerate(hyp.rotors) if hyp.fault[h] and frozenset(s) == current], int)

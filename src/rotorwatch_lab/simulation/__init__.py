@@ -70,9 +70,7 @@ def simulate(scenario: Scenario) -> Simulated:
     return Simulated(scenario, numbers, next(loop.fly_each(MULTIROTOR, [numbers], *rates)))
 
 
-def simulate_batch(
-    scenarios: Sequence[Scenario], select: Callable = loop.everything, record_hz: float | None = None
-) -> Any:
+def simulate_batch(scenarios: Sequence[Scenario], select: Callable = loop.everything, record_hz: float | None = None) -> Any:
     """Fly many scenarios of multirotors side by side: same number of rotors, duration, rate_hz and autopilot's profile; all else is free.
 
     Returns the records stacked (T, ..., B), flights last, as arrays of the device (a `Record`, or what `select` keeps of it);
@@ -87,9 +85,7 @@ def simulate_batch(
             raise ConfigError("flights of one batch must have the same duration_s and rate_hz.")
         if record_hz is None and s.record_hz != hz:
             raise ConfigError("flights of one batch must be recorded alike: the same autopilot and logging.profile.")
-    return loop.fly_many(
-        MULTIROTOR, loop.stack([plan(s) for s in scenarios]), first.duration_s, first.rate_hz, hz, select
-    )
+    return loop.fly_many(MULTIROTOR, loop.stack([plan(s) for s in scenarios]), first.duration_s, first.rate_hz, hz, select)
 
 
 def record_of(records: Any, k: int) -> Any:

@@ -36,9 +36,7 @@ def readings(scenario: Scenario, plan: Any, record: Any) -> np.ndarray:
     speed = np.round(np.maximum(np.round(rpm / step), 0.0) * step) * esc_columns.RPM
     scale = 1.0 + CURRENT_SCALE_SD * rng.standard_normal(size[1])
     noise = rng.standard_normal(size)
-    amps = scale * record.drawn[rows, columns] * (1.0 + CURRENT_SD * noise) + CURRENT_FLOOR_A * rng.standard_normal(
-        size
-    )
+    amps = scale * record.drawn[rows, columns] * (1.0 + CURRENT_SD * noise) + CURRENT_FLOOR_A * rng.standard_normal(size)
     volts = record.volts[rows] + VOLTS_SD * rng.standard_normal(size)
     heat = (record.drawn / max(float(plan.battery.current) / size[1], 1e-9)) ** 2
     degrees = AMBIENT_DEGC + RISE_DEGC * _smoothed(heat, dt / WARMING_S)

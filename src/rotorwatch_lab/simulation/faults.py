@@ -43,10 +43,7 @@ NEVER = 1e9
 
 
 class Faults(
-    namedtuple(
-        "Faults",
-        "rotor onset end ramp period duty loss bias frozen level undriven shake weak friction ceiling slower lean",
-    )
+    namedtuple("Faults", "rotor onset end ramp period duty loss bias frozen level undriven shake weak friction ceiling slower lean")
 ):
     """MOST faults in rows. rotor (F, n): 1 at the rotor, else 0. onset, end, ramp, period [s], duty: part of a period that
     the fault is there; loss, bias: strengths; frozen 0 or 1 with level; undriven 0 or 1; shake [m/s^2 at full speed];

@@ -162,6 +162,4 @@ def _logged(time, u, gyro, wanted, n, throttle, rng, rpm: bool) -> Flight:
         assert telemetry is not None
         signals["esc"] = telemetry
     facts = {"motor_low": IDLE, "motor_high": 1.0, "mixer": MIX.T.tolist()}
-    return Flight(
-        "simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv"
-    )
+    return Flight("simulated", "Betaflight", signals, float(time[-1]), firmware="simulated FPV flight", facts=facts, name="fpv")

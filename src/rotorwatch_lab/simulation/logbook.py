@@ -43,9 +43,7 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     ardupilot = scenario.autopilot == "ardupilot"
     armed, disarmed = _arming(plan, record)
     lifted = (record.time > float(plan.way.take_off)) & (record.time < disarmed)
-    log.add(
-        "motors", "motors", _motors(craft, record, armed, disarmed, lifted, ardupilot), unit="us" if ardupilot else "1"
-    )
+    log.add("motors", "motors", _motors(craft, record, armed, disarmed, lifted, ardupilot), unit="us" if ardupilot else "1")
     log.add("control", "control", record.control)
     shaking = sensors.vibration(record.shake, 2.0 * np.pi * record.phase)
     for name, values, sd in sensors.readings(plan.sensors, record, shaking, log.rng):
@@ -186,12 +184,7 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
         "IMU_ACCEL_CUTOFF": scenario.sensors["accel_filter_hz"],
     }
     for k, r in enumerate(craft.rotors):
-        parameters |= {
-            f"CA_ROTOR{k}_PX": r.x,
-            f"CA_ROTOR{k}_PY": r.y,
-            f"CA_ROTOR{k}_KM": 0.05 * r.spin,
-            f"CA_ROTOR{k}_CT": 6.5,
-        }
+        parameters |= {f"CA_ROTOR{k}_PX": r.x, f"CA_ROTOR{k}_PY": r.y, f"CA_ROTOR{k}_KM": 0.05 * r.spin, f"CA_ROTOR{k}_CT": 6.5}
     return {k: float(v) for k, v in parameters.items()}
 
 

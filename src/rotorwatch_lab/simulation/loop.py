@@ -91,9 +91,7 @@ def start(aircraft: Aircraft, plan) -> State:
     return State(body, accel, wind.still(kind), none, Loops(none, none, one), one, own)
 
 
-def tick(
-    aircraft: Aircraft, plan, state: State, t, reference: Reference, noise, dt: float, steps: int
-) -> tuple[State, Any]:
+def tick(aircraft: Aircraft, plan, state: State, t, reference: Reference, noise, dt: float, steps: int) -> tuple[State, Any]:
     """Advance by one tick of `steps` steps of dt seconds from time t: the next state and the record.
 
     reference: setpoints now. noise: wind.NOISES + 3 steps standard normal numbers.
@@ -165,12 +163,7 @@ def program(aircraft: Aircraft, ticks: int, dt: float, steps: int, batch: bool, 
 
 
 def fly(
-    aircraft: Aircraft,
-    plan: Any,
-    duration: float,
-    rate_hz: float = 400.0,
-    record_hz: float = 100.0,
-    select: Callable = everything,
+    aircraft: Aircraft, plan: Any, duration: float, rate_hz: float = 400.0, record_hz: float = 100.0, select: Callable = everything
 ) -> Any:
     """Fly for `duration` seconds: the stacked records (T, ...) as NumPy arrays, reduced by `select` where given. Raises ConfigError for
     wrong rates."""
@@ -179,12 +172,7 @@ def fly(
 
 
 def fly_many(
-    aircraft: Aircraft,
-    plans: Any,
-    duration: float,
-    rate_hz: float = 400.0,
-    record_hz: float = 100.0,
-    select: Callable = everything,
+    aircraft: Aircraft, plans: Any, duration: float, rate_hz: float = 400.0, record_hz: float = 100.0, select: Callable = everything
 ) -> Any:
     """Many flights at once: plans stacked along a new last axis (see `stack`); so are the results, (T, ..., B), arrays of the device."""
     return program(aircraft, *grid(duration, rate_hz, record_hz), True, select)(plans)

@@ -10,17 +10,7 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch_lab.simulation import (
-    control,
-    dynamics,
-    faults,
-    incremental,
-    motor,
-    outside,
-    rotation,
-    trajectories,
-    wind,
-)
+from rotorwatch_lab.simulation import control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
 from rotorwatch_lab.simulation.loop import Moment, State
 from rotorwatch_lab.simulation.rigid import Air, Body
 from rotorwatch_lab.simulation.sensors import Sensors
@@ -127,9 +117,7 @@ class Multirotor:
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
         return Moment(target, air, supply), integral
 
-    def step(
-        self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, drives: Drives, dt: float
-    ) -> tuple:
+    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: control.Loops, drives: Drives, dt: float) -> tuple:
         """Inner loops, mixer, faults, rotors and body."""
         jnp = load_jax().numpy
         pilot, s = plan.pilot, faults.strength(plan.faults, t)
@@ -144,9 +132,7 @@ class Multirotor:
         demand, free = self.mixed(plan, now, t, body, gyro, turning, drives)
         reached = demand + (drives.f - demand) * jnp.exp(-dt / craft.lag)
         drives = drives._replace(f=reached, memory=memory._replace(demand=demand))
-        command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(
-            lift > 0, 1.0, 0.0
-        )
+        command = jnp.minimum(control.drive(pilot.expo, lift_max * demand) / compensated, 1.0) * jnp.where(lift > 0, 1.0, 0.0)
         driven, undriven, held = faults.act(plan.faults, s, command, drives.held)
         theta = faults.loss(plan.faults, s)  # of the propellers
         driven = outside.rounded(plan.outside, driven)

@@ -46,9 +46,7 @@ def vehicle(scenario: Scenario) -> Vehicle:
     rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(geometry, shares))
     for k, fault in enumerate(scenario.faults):
         if fault["rotor"] > len(rotors):
-            raise ConfigError(
-                f"faults[{k + 1}].rotor is {fault['rotor']}, but the frame {frame} has {len(rotors)} rotors."
-            )
+            raise ConfigError(f"faults[{k + 1}].rotor is {fault['rotor']}, but the frame {frame} has {len(rotors)} rotors.")
     if scenario.autopilot == "px4":
         # Demands are logged: the thrust curve is applied to them on the way to the ESC.
         curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(rotors)
@@ -77,9 +75,7 @@ def _built(frame: str) -> Vehicle:
             return airframes.named(f"ardupilot-{SAME[frame]}")
         known = sorted({*ardupilot.FRAMES, *px4.FRAMES, *airframes.papers()})
         close = difflib.get_close_matches(frame, known, 6, 0.5) or ["quad-x"]
-        raise ConfigError(
-            f"airframe.frame: there is no frame {brief(frame)}; close ones are {', '.join(close)}."
-        ) from error
+        raise ConfigError(f"airframe.frame: there is no frame {brief(frame)}; close ones are {', '.join(close)}.") from error
 
 
 def _geometry(autopilot: str, frame: str) -> tuple[Rotor, ...]:
@@ -232,8 +228,7 @@ def _outside(scenario: Scenario, bare: Bare, full_speed: float) -> outside.Outsi
 def _board(a: Mapping[str, Any]) -> np.ndarray:
     """(3, 3) that takes vectors from the axes of the autopilot's board to the frame's: its roll, pitch and yaw in the frame."""
     (cr, sr), (cp, sp), (cy, sy) = (
-        (np.cos(angle), np.sin(angle))
-        for angle in (np.radians(a[f"board_{axis}_deg"]) for axis in ("roll", "pitch", "yaw"))
+        (np.cos(angle), np.sin(angle)) for angle in (np.radians(a[f"board_{axis}_deg"]) for axis in ("roll", "pitch", "yaw"))
     )
     roll = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
     pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
@@ -292,9 +287,7 @@ def _inertia(a: Mapping[str, Any], known: dict | None, mass: float, arm: float) 
     else:
         diagonal = mass * (arm * np.array([0.4, 0.4, 0.55])) ** 2
     if 2.0 * diagonal.max() > diagonal.sum() * (1.0 + 1e-9):
-        raise ConfigError(
-            "airframe.inertia_kg_m2: no body has one moment of inertia larger than the sum of the others."
-        )
+        raise ConfigError("airframe.inertia_kg_m2: no body has one moment of inertia larger than the sum of the others.")
     return np.diag(diagonal)
 
 

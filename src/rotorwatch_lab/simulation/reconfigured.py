@@ -41,17 +41,7 @@ class Entry(NamedTuple):
     gains: spinning.Gains
 
 
-def entry(
-    n: int,
-    since: float = np.inf,
-    mean=None,
-    lower=None,
-    upper=None,
-    hover=None,
-    gains=None,
-    candidates=None,
-    weights=None,
-) -> Entry:
+def entry(n: int, since: float = np.inf, mean=None, lower=None, upper=None, hover=None, gains=None, candidates=None, weights=None) -> Entry:
     """An entry; without arguments one that never begins. hover, gains: for a vehicle that has to turn. candidates, weights: default to the
     mean alone."""
     mean = np.ones(n) if mean is None else np.asarray(mean, float)

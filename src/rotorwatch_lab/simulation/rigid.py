@@ -32,9 +32,7 @@ def runge_kutta(derivative: Callable, body: Body, nodes: Any, dt: float) -> tupl
     jax = load_jax()
     jnp = jax.numpy
     # Four stages, one program: where each one looks from the last slope, and what it counts.
-    ahead, weight = (
-        jnp.asarray(c, body.p.dtype) for c in ([0.0, 0.5 * dt, 0.5 * dt, dt], [dt / 6, dt / 3, dt / 3, dt / 6])
-    )
+    ahead, weight = (jnp.asarray(c, body.p.dtype) for c in ([0.0, 0.5 * dt, 0.5 * dt, dt], [dt / 6, dt / 3, dt / 3, dt / 6]))
 
     def stage(carry, row):
         slope, total, mean = carry

@@ -67,9 +67,7 @@ def rate(q, omega):
     jnp = load_jax().numpy
     w, x, y, z = q
     p, s, r = omega
-    return 0.5 * jnp.stack(
-        [-x * p - y * s - z * r, w * p + y * r - z * s, w * s - x * r + z * p, w * r + x * s - y * p]
-    )
+    return 0.5 * jnp.stack([-x * p - y * s - z * r, w * p + y * r - z * s, w * s - x * r + z * p, w * r + x * s - y * p])
 
 
 def cross(a, b):

@@ -104,9 +104,7 @@ HELICOPTER_FIELDS: dict[str, tuple[str, ...]] = {
     "logging": ("profile",),
 }
 """What a helicopter has of `FIELDS`."""
-HELICOPTER_WAYS = tuple(
-    kind for kind in trajectories.KINDS if kind not in ("aggressive", "yaw-steps", "turning-square")
-)
+HELICOPTER_WAYS = tuple(kind for kind in trajectories.KINDS if kind not in ("aggressive", "yaw-steps", "turning-square"))
 HELICOPTER_FAULTS = ("loss", "complete loss", "stuck", "bias", "saturated")
 
 
@@ -131,9 +129,7 @@ class Scenario:
 
     def __post_init__(self):
         if self.rate_hz % self.record_hz:
-            raise ConfigError(
-                f"rate_hz must be a multiple of {self.record_hz:g}, the rate of the record, not {self.rate_hz:g}."
-            )
+            raise ConfigError(f"rate_hz must be a multiple of {self.record_hz:g}, the rate of the record, not {self.rate_hz:g}.")
 
     @property
     def record_hz(self) -> float:
@@ -198,9 +194,7 @@ def _times(duration: float, way: Mapping[str, Any]) -> None:
     least += (way["altitude_m"] / trajectories.DESCENT + 6.0 + way["rest_s"]) if way["land"] else 0.0
     least += way["size_m"] / trajectories.LEVEL if way["land"] and way["kind"] in ("climb", "aggressive") else 0.0
     if duration < least:
-        raise ConfigError(
-            f"duration_s is {duration:g}, but the way to trajectory.altitude_m and back takes {least:.0f} s."
-        )
+        raise ConfigError(f"duration_s is {duration:g}, but the way to trajectory.altitude_m and back takes {least:.0f} s.")
 
 
 def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any]) -> None:
@@ -214,9 +208,7 @@ def _helicopter(table: Mapping[str, Any], duration: float, way: Mapping[str, Any
     if way["kind"] not in HELICOPTER_WAYS:
         raise ConfigError(f"trajectory.kind: a helicopter flies {', '.join(HELICOPTER_WAYS)}, not {way['kind']!r}.")
     if way["take_off_s"] >= duration:
-        raise ConfigError(
-            f"trajectory.take_off_s is {way['take_off_s']:g}, not before the end of the flight at {duration:g} (duration_s)."
-        )
+        raise ConfigError(f"trajectory.take_off_s is {way['take_off_s']:g}, not before the end of the flight at {duration:g} (duration_s).")
 
 
 def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[str, Any]:
@@ -233,9 +225,7 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
             raise ConfigError(f"{where}.{field} is missing.")
     if helicopter:
         if fault["kind"] not in HELICOPTER_FAULTS:
-            raise ConfigError(
-                f"{where}.kind: a helicopter's actuators suffer {', '.join(HELICOPTER_FAULTS)}, not {fault['kind']!r}."
-            )
+            raise ConfigError(f"{where}.kind: a helicopter's actuators suffer {', '.join(HELICOPTER_FAULTS)}, not {fault['kind']!r}.")
         fault["rotor"] = ACTUATORS.index(fault["actuator"]) + 1
     for field, kinds in SOME_HAVE.items():
         if field in row and fault["kind"] not in kinds:
@@ -243,9 +233,7 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
     if "duty" in row and fault["period_s"] is None:
         raise ConfigError(f"{where}.duty: only a fault with a period_s has one.")
     if fault["onset_s"] >= duration:
-        raise ConfigError(
-            f"{where}.onset_s is {fault['onset_s']:g}, not before the end of the flight at {duration:g} (duration_s)."
-        )
+        raise ConfigError(f"{where}.onset_s is {fault['onset_s']:g}, not before the end of the flight at {duration:g} (duration_s).")
     if fault["end_s"] is not None and fault["end_s"] <= fault["onset_s"]:
         raise ConfigError(f"{where}.end_s must lie after its onset_s.")
     for field, kinds in NEEDS.items():
@@ -259,19 +247,14 @@ def _fault(where: str, row: Any, duration: float, helicopter: bool) -> Mapping[s
 def _table(where: str, values: Mapping[str, Any], fields: Mapping[str, Field]) -> dict[str, Any]:
     """All of `fields`, as given or by default."""
     only_fields(values, fields, where)
-    return {
-        key: _value(f"{where}{key}", values[key], field) if key in values else field.default
-        for key, field in fields.items()
-    }
+    return {key: _value(f"{where}{key}", values[key], field) if key in values else field.default for key, field in fields.items()}
 
 
 def _value(name: str, value: Any, field: Field) -> Any:
     """A value converted to its field's type. Raises ConfigError."""
     if field.choices:
         if value not in field.choices:
-            raise ConfigError(
-                f"{name} must be one of {', '.join(field.choices)}, not {brief(value)}{meant(value, field.choices)}."
-            )
+            raise ConfigError(f"{name} must be one of {', '.join(field.choices)}, not {brief(value)}{meant(value, field.choices)}.")
         return value
     if isinstance(field.default, bool):
         if not isinstance(value, bool):
@@ -294,9 +277,7 @@ def only_fields(table: Iterable[str], known: Collection[str], where: str = "", o
     """Raise ConfigError for the first key of a table that is not a known field."""
     for key in table:
         if key not in known:
-            raise ConfigError(
-                f"{where}{plain(key)} is not a field{of}{meant(key, known)}; known are {', '.join(known)}."
-            )
+            raise ConfigError(f"{where}{plain(key)} is not a field{of}{meant(key, known)}; known are {', '.join(known)}.")
 
 
 def brief(value: Any) -> str:

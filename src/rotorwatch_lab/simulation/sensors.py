@@ -14,10 +14,7 @@ RESET_S = 4.0  # an estimator finds back after a jump with this time constant
 
 
 class Sensors(
-    namedtuple(
-        "Sensors",
-        "gyro_sd accel_sd gyro_bias accel_bias accel_cut shake full_turns rattle attitude_sd velocity_sd position_sd",
-    )
+    namedtuple("Sensors", "gyro_sd accel_sd gyro_bias accel_bias accel_cut shake full_turns rattle attitude_sd velocity_sd position_sd")
 ):
     """gyro_sd [rad/s] of one sample in a step, accel_sd [m/s^2] after the filter; biases (3,); accel_cut [rad/s];
     shake [m/s^2 at full speed] of each healthy rotor, full_turns: its revolutions per second at full speed; rattle: rad/s of gyro

@@ -64,9 +64,7 @@ def _path(way: Trajectory, t):
     begin = up + up_time + HOVER_FIRST
     s = _eased(t - begin) - _eased(t - (way.landing - BLEND))
     a, v = way.size, way.speed
-    north, east, rise, turn = (
-        jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s, way.turn)
-    )
+    north, east, rise, turn = (jnp.select([way.kind == k for k in range(len(KINDS))], row) for row in _shapes(a, v, s, way.turn))
     level_time = 1.0 + a / LEVEL  # before the way down: back to the working height
     rise = rise * (1.0 - smooth((t - way.landing + level_time) / level_time))
     height = way.altitude * smooth((t - up) / up_time) + rise

@@ -15,9 +15,7 @@ from rotorwatch_lab.simulation.scenario import Scenario
 HZ = 50.0
 
 
-def write(
-    scenario: Scenario, record: Any, stem: Path, about: Mapping[str, Any], series: Mapping[str, np.ndarray]
-) -> tuple[Path, Path]:
+def write(scenario: Scenario, record: Any, stem: Path, about: Mapping[str, Any], series: Mapping[str, np.ndarray]) -> tuple[Path, Path]:
     """Write faults and their times, and the motion at HZ; times count from the log's start. Returns both paths.
 
     record: with time, flies, p, v, q, omega and wind (T, ..). about, series: what the aircraft adds; keys of series are the columns'

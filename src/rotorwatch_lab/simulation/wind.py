@@ -45,9 +45,7 @@ def dryden(speed, direction_deg, turbulence, altitude, airspeed, span) -> Wind:
     to = math.radians(direction_deg + 180.0)
     heading = np.array([math.cos(to), math.sin(to)])
     mean = np.array([*(speed * heading), 0.0])
-    return Wind(
-        mean, heading, np.array([level, level, down]), tau, np.array(turn), np.array(4.0 * span / (math.pi * V))
-    )
+    return Wind(mean, heading, np.array([level, level, down]), tau, np.array(turn), np.array(4.0 * span / (math.pi * V)))
 
 
 def still(dtype=float) -> Gusts:

@@ -109,10 +109,7 @@ def _size(form: str) -> int:
 def _packed(name: str, time: np.ndarray, values: np.ndarray, start_us: int) -> tuple[np.ndarray, np.ndarray]:
     """(TimeUS, records) of one message."""
     number, form, _ = MESSAGES[name]
-    kinds = [
-        ("head", "S3"),
-        *((f"c{k}", {"Q": "<u8", "f": "<f4", "B": "u1", "H": "<u2", "c": "<i2"}[c]) for k, c in enumerate(form)),
-    ]
+    kinds = [("head", "S3"), *((f"c{k}", {"Q": "<u8", "f": "<f4", "B": "u1", "H": "<u2", "c": "<i2"}[c]) for k, c in enumerate(form))]
     table = np.zeros(len(time), np.dtype(kinds))
     table["head"] = HEAD + bytes([number])
     stamps = start_us + np.round(time * 1e6).astype(np.int64)

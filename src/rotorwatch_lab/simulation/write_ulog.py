@@ -39,10 +39,7 @@ def ulog(flight: Flight) -> bytes:
         raise ConfigError(f"a ULog is PX4's; this flight is of {flight.autopilot}: write a DataFlash log.")
     tables = {name: rows for name, rows in _tables(flight) if len(rows)}
     parts = [MAGIC + struct.pack("<Q", flight.start_us), _message(b"B", bytes(40))]
-    used = {
-        **({"esc_report": NESTED["esc_report"]} if "esc_status" in tables else {}),
-        **{k: TOPICS[k] for k in tables},
-    }
+    used = {**({"esc_report": NESTED["esc_report"]} if "esc_status" in tables else {}), **{k: TOPICS[k] for k in tables}}
     parts += [_message(b"F", f"{name}:{fields};".encode()) for name, fields in used.items()]
     for key, text in (("sys_name", "PX4"), ("ver_hw", "simulated"), ("ver_sw", flight.firmware)):
         parts.append(_message(b"I", _keyed(f"char[{len(text)}] {key}") + text.encode()))

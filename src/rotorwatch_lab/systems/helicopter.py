@@ -64,9 +64,7 @@ class Helicopter:
     x0 = np.zeros(6)
     P0 = np.diag([0.1] * 3 + [0.05] * 3) ** 2
 
-    def __init__(
-        self, airframe: dict[str, Any], process_sd=(2e-3, 4e-3), velocity_sd=0.01 / 3, rate_sd=0.002 / 3, stops=True
-    ):
+    def __init__(self, airframe: dict[str, Any], process_sd=(2e-3, 4e-3), velocity_sd=0.01 / 3, rate_sd=0.002 / 3, stops=True):
         """airframe: a helicopter's file, such as airframes.paper("ruav-40kg"). process_sd: of velocities [m/s] and rates
         [rad/s], that a step of 0.02 s adds; velocity_sd, rate_sd: of one measurement. stops: whether an actuator stops at 0 and 1;
         without, it is eq. (6) alone, for who knows that none is reached. Raises ConfigError."""
@@ -90,10 +88,7 @@ class Helicopter:
         self.main, self.tail = _Rotor(rho, airframe["main"]), _Rotor(rho, airframe["tail"])
         self.process_sd = checks.positive("process_sd", checks.shape("process_sd", process_sd, 2))
         self.stops = bool(stops)
-        self.velocity_sd, self.rate_sd = (
-            checks.positive("velocity_sd", velocity_sd),
-            checks.positive("rate_sd", rate_sd),
-        )
+        self.velocity_sd, self.rate_sd = (checks.positive("velocity_sd", velocity_sd), checks.positive("rate_sd", rate_sd))
 
     def outputs(self, u, theta):
         """(4,) where the actuators are: U_out."""
@@ -112,11 +107,7 @@ class Helicopter:
         roll, pitch = u[4], u[5]
         weight = self.m * G0
         force = jnp.stack(
-            [
-                X - weight * jnp.sin(pitch),
-                Y - T_T + weight * jnp.sin(roll) * jnp.cos(pitch),
-                Z + weight * jnp.cos(roll) * jnp.cos(pitch),
-            ]
+            [X - weight * jnp.sin(pitch), Y - T_T + weight * jnp.sin(roll) * jnp.cos(pitch), Z + weight * jnp.cos(roll) * jnp.cos(pitch)]
         )
         coriolis = jnp.stack([r * vy - q * vz, p * vz - r * vx, q * vx - p * vy])
         I1, I2, I3 = self.I
@@ -127,9 +118,7 @@ class Helicopter:
                 -Q_M * ca * cb + self.x_M * Y - self.y_M * X + self.l_T * T_T + (I1 - I2) * p * q,
             ]
         )
-        return jnp.concatenate(
-            [(force - self.drag * x[:3]) / self.m + coriolis, (torque - self.damping * x[3:]) / self.I]
-        )
+        return jnp.concatenate([(force - self.drag * x[:3]) / self.m + coriolis, (torque - self.damping * x[3:]) / self.I])
 
     def f(self, x, u, theta, dt):
         """x + dt dx/dt, the paper's model (8)."""

@@ -30,9 +30,7 @@ class LinearHover(Rotors):
     x0 = np.zeros(8)
     P0 = np.eye(8)
 
-    def __init__(
-        self, B, *, gravity=G0, measured_sd=(2e-3,) * 3 + (0.02,) + (0.01,) * 3 + (0.05,), walk=(0.05,) * 4, u_unit="1"
-    ):
+    def __init__(self, B, *, gravity=G0, measured_sd=(2e-3,) * 3 + (0.02,) + (0.01,) * 3 + (0.05,), walk=(0.05,) * 4, u_unit="1"):
         """B (4, n): d(p, q, r, v_down)/dt per unit of u [rad/s^2, m/s^2; thrust lifts, so its row is negative].
 
         gravity [m/s^2]; measured_sd (8,): of one sample; walk (4,): disturbance accelerations as white noise [rad/s^2, m/s^2

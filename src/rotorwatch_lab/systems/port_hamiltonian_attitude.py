@@ -91,13 +91,7 @@ class PortHamiltonianAttitude:
         (phi, pitch, _), p = x[:3], x[3:]
         s, c, sp, cp = jnp.sin(phi), jnp.cos(phi), jnp.sin(pitch), jnp.cos(pitch)
         zero, one = jnp.zeros_like(phi), jnp.ones_like(phi)
-        W_inverse = jnp.stack(
-            [
-                jnp.stack([one, s * sp / cp, c * sp / cp]),
-                jnp.stack([zero, c, -s]),
-                jnp.stack([zero, s / cp, c / cp]),
-            ]
-        )
+        W_inverse = jnp.stack([jnp.stack([one, s * sp / cp, c * sp / cp]), jnp.stack([zero, c, -s]), jnp.stack([zero, s / cp, c / cp])])
         momentum = W_inverse.T @ p  # J omega
         omega = self._J_inverse @ momentum
         q_dot = W_inverse @ omega

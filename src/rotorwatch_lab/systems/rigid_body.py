@@ -31,20 +31,7 @@ class RigidBody(Rotors):
     x_names = (*POSE, "v_north", "v_east", "v_down", "p", "q", "r")
     x_units = ("m",) * 3 + ("rad",) * 3 + ("m/s",) * 3 + ("rad/s",) * 3
 
-    def __init__(
-        self,
-        J,
-        B_tau,
-        B_T,
-        m,
-        *,
-        gravity=G0,
-        measured=POSE,
-        measured_sd=3e-4,
-        walk=(1e-3,) * 6 + (1e-6,) * 6,
-        x0=None,
-        P0=None,
-    ):
+    def __init__(self, J, B_tau, B_T, m, *, gravity=G0, measured=POSE, measured_sd=3e-4, walk=(1e-3,) * 6 + (1e-6,) * 6, x0=None, P0=None):
         """J (3, 3) [kg m^2], B_tau (3, n) [N m], B_T (n,) [N], m [kg], gravity [m/s^2].
 
         measured: which of x_names; measured_sd: of one sample of each, scalar or (n_y,), in their units. walk (12,): white
@@ -59,9 +46,7 @@ class RigidBody(Rotors):
         self.m, self.gravity = checks.positive("m", m), gravity
         unknown = [name for name in measured if name not in self.x_names]
         if unknown or not measured:
-            raise ConfigError(
-                f"measured must name some of {', '.join(self.x_names)}, not {', '.join(unknown) or 'none of them'}."
-            )
+            raise ConfigError(f"measured must name some of {', '.join(self.x_names)}, not {', '.join(unknown) or 'none of them'}.")
         self.index = np.array([self.x_names.index(name) for name in measured])
         self.y_names, self.y_units = tuple(measured), tuple(self.x_units[k] for k in self.index)
         self.n_y = len(self.index)

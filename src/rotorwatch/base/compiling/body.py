@@ -33,22 +33,10 @@ C_NAMES = {
     "text": "const char *",
 }
 RANK = {"flag": 0, "ilit": 0, "text": 0, "int": 1, "lit": 2, "real": 3, "time": 4, "each": 5}
-WIDE: dict[Any, Any] = {
-    "mask": "int",
-    "small": "int",
-    "letter": "int",
-    "byte": "int",
-}  # types of stored numbers when read
+WIDE: dict[Any, Any] = {"mask": "int", "small": "int", "letter": "int", "byte": "int"}  # types of stored numbers when read
 FIRST = {"lit": "real", "ilit": "int", **WIDE}  # type of a variable by its first value
 OPEN, CLOSE = "\x02", "\x03"  # around a number in a text, as long as its precision is open
-BINARY = {
-    ast.Add: ("+", 6),
-    ast.Sub: ("-", 6),
-    ast.Mult: ("*", 7),
-    ast.Div: ("/", 7),
-    ast.Mod: ("%", 7),
-    ast.FloorDiv: ("/", 7),
-}
+BINARY = {ast.Add: ("+", 6), ast.Sub: ("-", 6), ast.Mult: ("*", 7), ast.Div: ("/", 7), ast.Mod: ("%", 7), ast.FloorDiv: ("/", 7)}
 BITS = {ast.BitAnd: "&", ast.BitOr: "|", ast.BitXor: "^", ast.LShift: "<<", ast.RShift: ">>"}  # of whole numbers
 MODULO = {"sum32": "+", "difference32": "-", "shift32": "<<"}  # of whole numbers, of 32 bits
 ROUNDED = {"sqrt": "RW_ROOT", "exp": "RW_EXP", "log": "RW_LOG"}  # of a number in the library's precision
@@ -133,9 +121,7 @@ def number(value: Any, base: str) -> str:
         return exact(float(value))
     else:
         text = repr(float(value))
-    return (
-        f"(rw_real){text}" if base == "real" else OPEN + text + CLOSE if base == "lit" and text[-1].isdigit() else text
-    )
+    return f"(rw_real){text}" if base == "real" else OPEN + text + CLOSE if base == "lit" and text[-1].isdigit() else text
 
 
 def exact(value: float) -> str:
@@ -223,11 +209,7 @@ class Body:
                 return [f"{target.text} = ({target.type.c})({target.text} {sign} {self.cast(value, Type('int'))});"]
             return [f"{target.text} {sign}= {self.cast(value, target.type)};"]
         if isinstance(node, ast.Return):
-            return [
-                "return;"
-                if node.value is None
-                else f"return {self.cast(self.expression(node.value), self.function.result)};"
-            ]
+            return ["return;" if node.value is None else f"return {self.cast(self.expression(node.value), self.function.result)};"]
         if isinstance(node, ast.Break | ast.Continue):
             return ["break;" if isinstance(node, ast.Break) else "continue;"]
         if isinstance(node, ast.Pass):
@@ -265,11 +247,7 @@ class Body:
         return test
 
     def loop(self, node: ast.For, depth: int) -> list[str]:
-        if not (
-            isinstance(node.target, ast.Name)
-            and isinstance(node.iter, ast.Call)
-            and getattr(node.iter.func, "id", "") == "range"
-        ):
+        if not (isinstance(node.target, ast.Name) and isinstance(node.iter, ast.Call) and getattr(node.iter.func, "id", "") == "range"):
             raise self.wrong(node, "a loop is over range()")
         name, ends = node.target.id, [self.expression(a).text for a in node.iter.args]
         if name in self.types and name not in self.loops:
@@ -301,11 +279,7 @@ class Body:
                 dims = "".join(f"[{d}]" for d in what.dims)
                 self.hoisted[name] = f"{what.c} {name}{dims};"
                 loop = f"memset({name}, 0, sizeof {name});"
-                return (
-                    loop
-                    if not what.struct
-                    else f"for (int32_t i = 0; i < {what.dims[0]}; i++) {what.c}_init(&{name}[i]);"
-                )
+                return loop if not what.struct else f"for (int32_t i = 0; i < {what.dims[0]}; i++) {what.c}_init(&{name}[i]);"
             made = getattr(self.module, value.func.id, None)
             if isinstance(made, type) and is_struct(made):
                 self.types[name] = Type(made)
@@ -510,12 +484,8 @@ class Body:
             function = self.all.functions.get((home, node.func.id))
             return self.call(node, function, [])
         assert isinstance(node.func, ast.Attribute)
-        if isinstance(node.func.value, ast.Name) and isinstance(
-            getattr(self.module, node.func.value.id, None), ModuleType
-        ):
-            return self.call(
-                node, self.all.functions.get((getattr(self.module, node.func.value.id), node.func.attr)), []
-            )
+        if isinstance(node.func.value, ast.Name) and isinstance(getattr(self.module, node.func.value.id, None), ModuleType):
+            return self.call(node, self.all.functions.get((getattr(self.module, node.func.value.id), node.func.attr)), [])
         base = self.expression(node.func.value)
         return self.call(node, self.all.functions.get((base.type.base, node.func.attr)), [base])
 
@@ -548,9 +518,7 @@ class Body:
             at = [g.text if g.pointer else f"&{g.within(15)}" for g in arguments]
             if name == "reset":
                 return Code(f"{first.type.c}_init({at[0]})", Type("none"))
-            return Code(
-                f"*{at[0]} = *{at[1]}" if arguments[1].pointer else f"*{at[0]} = {arguments[1].text}", Type("none"), 0
-            )
+            return Code(f"*{at[0]} = *{at[1]}" if arguments[1].pointer else f"*{at[0]} = {arguments[1].text}", Type("none"), 0)
         if name == "len" and first.type.base == "text":
             return Code(f"(int32_t)strlen({first.text})", Type("int"), 14)
         if name == "ord":
@@ -572,9 +540,7 @@ class Body:
         if name in ROUNDED or name == "floor":
             own = first.type.base == "real"
             called = ROUNDED[name] if own and name != "floor" else name
-            return Code(
-                f"{called}({self.cast(first, Type('real' if own else 'time'))})", Type("real" if own else "time")
-            )
+            return Code(f"{called}({self.cast(first, Type('real' if own else 'time'))})", Type("real" if own else "time"))
         if name == "abs":
             what = Type(FIRST.get(first.type.base, first.type.base))
             return Code(f"abs_{what.base}({self.cast(first, what)})", what)

@@ -108,9 +108,7 @@ class Rows:
         """Concatenation of arrays."""
         first = parts[0]
         if first.native is not None:
-            return Rows(
-                first.kind, np.concatenate([one.native for one in parts if one.native is not None]), None, many=True
-            )
+            return Rows(first.kind, np.concatenate([one.native for one in parts if one.native is not None]), None, many=True)
         return Rows(first.kind, None, [x for one in parts for x in one.plain or ()], many=True)
 
     def fill(self, **columns: Any) -> None:
@@ -223,9 +221,7 @@ class Definition:
         """The shipped library, if it was made from these files and is intact."""
         try:
             known = json.loads((shipped.FOLDER / shipped.DEFINITIONS).read_text(encoding="utf-8"))[self.name]
-            libraries = (
-                known["libraries"] if known["digest"] == self.digest and known["target"] == shipped.target() else {}
-            )
+            libraries = known["libraries"] if known["digest"] == self.digest and known["target"] == shipped.target() else {}
             file, sha256 = next(libraries[level] for level in self._levels() if level in libraries)
         except (OSError, ValueError, KeyError, TypeError, StopIteration):
             return None
@@ -258,18 +254,14 @@ class Definition:
         whole = Translation(self.modules, *self.sizes)
         sizes = {**whole.sizes, "LANES": LANES.get(level, OTHER_LANES)}
         config = "".join(f"#define RW_{name} {value}\n" for name, value in sizes.items())
-        source = (
-            whole.source(f"rw_{self.name}.h") + "\nextern const int32_t rw_lanes;\nconst int32_t rw_lanes = RW_LANES;\n"
-        )
+        source = whole.source(f"rw_{self.name}.h") + "\nextern const int32_t rw_lanes;\nconst int32_t rw_lanes = RW_LANES;\n"
         return config, whole.header("For this computer.", name=self.name), source
 
     def build(self, folder: Path, level: str = shipped.BASELINE) -> Path:
         """The library in a folder, built unless present. level: of processors that it is for. Raises toolchain.Unavailable."""
         compiler = toolchain.compiler()
         flags = (*FLAGS, *(VECTORS if self.vectors else ()), *([f"-march={level}"] if level else ()))
-        key = hashlib.sha256(
-            "\0".join([self.digest, repr(self._other), *flags, toolchain.machine()]).encode()
-        ).hexdigest()
+        key = hashlib.sha256("\0".join([self.digest, repr(self._other), *flags, toolchain.machine()]).encode()).hexdigest()
         goal = folder / f"{self.name}-{key[:32]}.so"
         seal = goal.with_suffix(".sha256")
         if goal.exists() and seal.exists() and seal.read_text() == shipped.digest_of(goal):

@@ -20,10 +20,7 @@ FORMAT = 3
 
 # Levels of processors, best first: the compiler's -march and the flags of /proc/cpuinfo that code of that level needs
 # (x86-64 psABI, micro-architecture levels). A processor of another kind has its compiler's own baseline.
-LEVELS: dict[str, tuple[str, ...]] = {
-    "x86-64-v3": ("avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"),
-    "x86-64": (),
-}
+LEVELS: dict[str, tuple[str, ...]] = {"x86-64-v3": ("avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"), "x86-64": ()}
 BASELINE = ""
 
 

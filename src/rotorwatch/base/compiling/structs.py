@@ -59,17 +59,7 @@ REAL, TIME, EACH, INT, FLAG, MASK, SMALL, LETTER = (
     "letter",
 )  # kinds of elements, for `array`
 # annotation -> kind
-SCALARS = {
-    "Real": REAL,
-    "Time": TIME,
-    "float": TIME,
-    "Each": EACH,
-    "int": INT,
-    "bool": FLAG,
-    "Mask": MASK,
-    "Small": SMALL,
-    "str": "text",
-}
+SCALARS = {"Real": REAL, "Time": TIME, "float": TIME, "Each": EACH, "int": INT, "bool": FLAG, "Mask": MASK, "Small": SMALL, "str": "text"}
 
 # The same, of arrays.
 LISTS = {"Reals": REAL, "Eaches": EACH, "Times": TIME, "Ints": INT, "Flags": FLAG, "Bytes": "byte"}

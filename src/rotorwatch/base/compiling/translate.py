@@ -113,9 +113,7 @@ class Translation:
         self.trees = {m: ast.parse(inspect.getsource(m)) for m in modules}
         self.lines = {m: inspect.getsource(m).splitlines() for m in modules}
         self.comments = {m: _comments("\n".join(self.lines[m])) for m in modules}
-        self.fields: dict[type, dict[str, tuple[Type, ast.AST]]] = {
-            k: v for one in given for k, v in one.fields.items()
-        }
+        self.fields: dict[type, dict[str, tuple[Type, ast.AST]]] = {k: v for one in given for k, v in one.fields.items()}
         self.home: dict[type, ModuleType] = {}
         self.functions: dict[Any, Function] = {k: f for one in given for k, f in one.functions.items()}
         self.tables: dict[str, str] = {}
@@ -183,9 +181,7 @@ class Translation:
         raise self.wrong(module, node, "this type is not known")
 
     def _sign(self, module: ModuleType, node: ast.FunctionDef, owner: type | None) -> None:
-        parameters = {
-            a.arg: Type(owner) if a.arg == "self" else self.annotation(module, a.annotation) for a in node.args.args
-        }
+        parameters = {a.arg: Type(owner) if a.arg == "self" else self.annotation(module, a.annotation) for a in node.args.args}
         first = snake(owner.__name__) if owner else "rw_" + module.__name__.rpartition(".")[2]
         self.functions[(owner or module, node.name)] = Function(
             f"{first}_{node.name.strip('_')}", node, module, owner, parameters,
@@ -224,9 +220,7 @@ class Translation:
             parts.append(f"void {snake(kind.__name__)}_init({snake(kind.__name__)} *self);")
         for function in self.own:
             if function.public:
-                parts.append(
-                    "\n" + comment(ast.get_docstring(function.node) or "") + "\n" + self.signature(function) + ";"
-                )
+                parts.append("\n" + comment(ast.get_docstring(function.node) or "") + "\n" + self.signature(function) + ";")
         parts.append("\n#ifdef __cplusplus\n}\n#endif\n\n#endif\n")
         return "\n".join(parts)
 
@@ -236,12 +230,7 @@ class Translation:
             note = comments.get(node.lineno, ("", False))[0]  # type: ignore[attr-defined]
             dims = "".join(f"[{d}]" for d in what.dims)
             rows.append(f"    {what.c} {name}{dims};" + (f" /* {note} */" if note else ""))
-        return (
-            comment(inspect.getdoc(kind) or "")
-            + "\ntypedef struct {\n"
-            + "\n".join(rows)
-            + f"\n}} {snake(kind.__name__)};\n"
-        )
+        return comment(inspect.getdoc(kind) or "") + "\ntypedef struct {\n" + "\n".join(rows) + f"\n}} {snake(kind.__name__)};\n"
 
     def source(self, header: str) -> str:
         """The source."""
@@ -297,9 +286,7 @@ class Translation:
         return f"{what.c}_init(&{place});" if what.struct else f"{place} = {number(value, what.base)};"
 
     def wrong(self, module: ModuleType, node: ast.AST, why: str) -> ConfigError:
-        return ConfigError(
-            f"{module.__name__}, line {getattr(node, 'lineno', 0)}: {why} (base/compiling/structs.py says what can be C)."
-        )
+        return ConfigError(f"{module.__name__}, line {getattr(node, 'lineno', 0)}: {why} (base/compiling/structs.py says what can be C).")
 
 
 def _enumerated(tree: ast.Module) -> Iterable[str]:

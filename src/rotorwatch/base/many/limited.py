@@ -48,9 +48,7 @@ class Workers:
         prepare: Callable[[], None] | None = None,
     ):
         self._judge_s, self._memory_mb, self._stopping = judge_s, memory_mb, False
-        self._work = pickle.dumps(
-            (_Limited(job, judge_s), functools.partial(_prepare, memory_mb, tuple(loads), prepare))
-        )
+        self._work = pickle.dumps((_Limited(job, judge_s), functools.partial(_prepare, memory_mb, tuple(loads), prepare)))
         self._lock = threading.Lock()
         self._idle: list[Worker] = []
         self._all: list[Worker] = []

@@ -194,9 +194,7 @@ def _one_thread() -> Iterator[None]:
 
 def _warns(kind: type[Warning]) -> bool:
     """True if warnings of a kind are shown by this process."""
-    of_all = (
-        action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of)
-    )
+    of_all = (action for action, text, of, module, _ in warnings.filters if not (text or module) and issubclass(kind, of))
     return next(of_all, "default") != "ignore"
 
 

@@ -30,12 +30,7 @@ def useful_jobs(count: int) -> int:
     return max(1, min(processors(), count // EACH))
 
 
-def run(
-    function: Callable[[Any], Any],
-    items: Iterable[Any],
-    jobs: int | None = None,
-    scheduler: str | None = None,
-) -> Iterator[Done]:
+def run(function: Callable[[Any], Any], items: Iterable[Any], jobs: int | None = None, scheduler: str | None = None) -> Iterator[Done]:
     """function(item) of every item: a `Done` for each, as they finish, in any order.
 
     Items are taken one by one when there is room for them, so that they may come from a generator that never ends; results are
@@ -50,9 +45,7 @@ def run(
         raise ConfigError(f"jobs must be at least 1, not {jobs}.")
     if scheduler is not None:
         if jobs is not None:
-            raise ConfigError(
-                "Give jobs or a scheduler, not both: a cluster has as many workers as are connected to it."
-            )
+            raise ConfigError("Give jobs or a scheduler, not both: a cluster has as many workers as are connected to it.")
         from rotorwatch.base.many import cluster
 
         return cluster.run(function, _tasks(items), cluster.address(scheduler))

@@ -44,9 +44,7 @@ class Alarm(Struct):
         self.limit = threshold(p, GATES * FALSE_ALARM_PERIOD_S)
         self.suspicious = threshold(p, 1.0) + log(MEMORY_S)
 
-    def decide(
-        self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool, pushed: bool
-    ) -> None:
+    def decide(self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool, pushed: bool) -> None:
         """One tick. best: the likeliest fault; may: may it be true; pushed: something outside pushes the vehicle sideways."""
         # Something else may have happened as well. Of a pair, which is rare by its prior, that is not asked.
         weak = found.asked.weak

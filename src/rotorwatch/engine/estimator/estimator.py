@@ -206,16 +206,7 @@ class Estimator(Struct):
         found = self.evidence
         found.yaw_error = max(leader.P[entry(YAW_GAIN, YAW_GAIN)], 1e-12)
         found.damping_error = unknown_damping(p, leader.s)
-        found.ask(
-            p,
-            leader,
-            self.noise,
-            self.seen.thrust,
-            self.rows.drag,
-            self.missing.air(p),
-            self.memory.outside(p),
-            now.full,
-        )
+        found.ask(p, leader, self.noise, self.seen.thrust, self.rows.drag, self.missing.air(p), self.memory.outside(p), now.full)
 
     def _decide(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
         """What the bank says of any jump since, and whether that is announced."""

@@ -124,9 +124,7 @@ class Evidence(Struct):
     freed = embedded(Freed)
     jump = embedded(Jump)
 
-    def ask(
-        self, p: Plant, leader: Branch, noise: Noise, thrust: Reals, drag: Reals, air: Real, outside: Real, full: Real
-    ) -> None:
+    def ask(self, p: Plant, leader: Branch, noise: Noise, thrust: Reals, drag: Reals, air: Real, outside: Real, full: Real) -> None:
         """What the hypotheses are measured by at this tick. thrust, drag: of each rotor; air: thrust that air from below adds; outside:
         what a force from the side may do; full: thrust of a rotor."""
         a = self.asked

@@ -15,21 +15,7 @@ from __future__ import annotations
 
 import math
 
-from rotorwatch.base.compiling.structs import (
-    EACH,
-    FLAG,
-    REAL,
-    Each,
-    Eaches,
-    Real,
-    Reals,
-    Struct,
-    array,
-    each,
-    local,
-    log,
-    sqrt,
-)
+from rotorwatch.base.compiling.structs import EACH, FLAG, REAL, Each, Eaches, Real, Reals, Struct, array, each, local, log, sqrt
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
 from rotorwatch.engine.estimator.sizes import ROTORS
@@ -402,12 +388,4 @@ def other_rotor_of(n: int, h: int) -> int:
 
 def weight_of(kind: int) -> Real:
     """Prior weight of a hypothesis of that kind."""
-    return (
-        PAIR_WEIGHT
-        if kind == PAIR
-        else STUCK_WEIGHT
-        if kind == ONE_THRUST
-        else DISTURBANCE_WEIGHT
-        if kind == DISTURBANCE
-        else 1.0
-    )
+    return PAIR_WEIGHT if kind == PAIR else STUCK_WEIGHT if kind == ONE_THRUST else DISTURBANCE_WEIGHT if kind == DISTURBANCE else 1.0

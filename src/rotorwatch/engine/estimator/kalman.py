@@ -14,20 +14,7 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, real, sqrt
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import (
-    AIR,
-    B1,
-    B2,
-    B3,
-    BUILT_SD,
-    CURVE,
-    PER_AXIS,
-    SIDEWAYS,
-    THETA,
-    Plant,
-    Rows,
-    entry,
-)
+from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows, entry
 from rotorwatch.engine.estimator.sizes import PRODUCTS, ROTORS, STATES
 
 # A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.

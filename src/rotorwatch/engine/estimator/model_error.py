@@ -104,9 +104,7 @@ class Memory(Struct):
             self.lasting[a] = 1.0
         self.bent_level = CALM_THRUST
 
-    def weigh_inputs(
-        self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, flying: bool, seen: Seen
-    ) -> None:
+    def weigh_inputs(self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, flying: bool, seen: Seen) -> None:
         """One tick's inputs, judged against what was usual. s: state; lost: what the known losses take of the wrench; bent: what a
         standard deviation of the thrust curve gives to it."""
         n = p.rotors
@@ -129,9 +127,7 @@ class Memory(Struct):
                 self.burst[a] = 1.0
                 self.innovation_mean[a] = 0.0
 
-    def _motion(
-        self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, fade: Real, seen: Seen
-    ) -> None:
+    def _motion(self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, fade: Real, seen: Seen) -> None:
         made_need = 0.0
         made_made = 0.0
         for a in range(3):

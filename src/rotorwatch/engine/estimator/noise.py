@@ -55,9 +55,7 @@ class Noise(Struct):
                 self.v[c][a] = p.noise[c][a]
             for lag in range(LAG_COUNT):
                 self.weight[lag][a] = p.noise_weight
-                self.total[lag][a] = p.noise_weight * self._model(
-                    lag, p.noise[0][a], p.noise[1][a], p.noise[2][a], p.noise[3][a]
-                )
+                self.total[lag][a] = p.noise_weight * self._model(lag, p.noise[0][a], p.noise[1][a], p.noise[2][a], p.noise[3][a])
 
     def _model(self, lag: int, white: Real, fast: Real, slow: Real, drift: Real) -> Real:
         b = self.basis[lag]

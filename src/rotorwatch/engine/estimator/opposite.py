@@ -15,16 +15,7 @@ from rotorwatch.base.compiling.structs import LANES, Real, Struct, exp, log, one
 from rotorwatch.engine.estimator.announcement import Alarm, either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Window
 from rotorwatch.engine.estimator.evidence import Evidence
-from rotorwatch.engine.estimator.hypotheses import (
-    CLEAR,
-    LOSS_WIDTH,
-    NONE,
-    PAIR,
-    SMALL_WIDTH,
-    kind_of,
-    other_rotor_of,
-    rotor_of,
-)
+from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR, SMALL_WIDTH, kind_of, other_rotor_of, rotor_of
 from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Missing, torque_free
 from rotorwatch.engine.estimator.sizes import SLOTS
@@ -32,9 +23,7 @@ from rotorwatch.engine.estimator.sizes import SLOTS
 # rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off: no
 # loss lifts a vehicle
 TURNING, HEAVING = 0.15, 0.2
-LEAST_ROTORS = (
-    6  # a quadrotor's pairs can be distinguished by their yaw: there the fault hypotheses say all there is to say
-)
+LEAST_ROTORS = 6  # a quadrotor's pairs can be distinguished by their yaw: there the fault hypotheses say all there is to say
 
 
 class Opposite(Struct):
@@ -69,9 +58,9 @@ class Opposite(Struct):
                         # No weight is above 1: most pairs are out by their nats alone.
                         if torque_free(p, i, j) and _nats(found.window, lane, i, j, LOSS_WIDTH) > best:
                             loss = _shared(found.window, lane, i, j, LOSS_WIDTH)
-                            factor = either(
-                                _fit(found.window, lane, i, j, SMALL_WIDTH), _fit(found.window, lane, i, j, LOSS_WIDTH)
-                            ) - log(2.0)
+                            factor = either(_fit(found.window, lane, i, j, SMALL_WIDTH), _fit(found.window, lane, i, j, LOSS_WIDTH)) - log(
+                                2.0
+                            )
                             if loss > NONE and factor > best:
                                 best = factor
                                 pair = h
@@ -81,10 +70,7 @@ class Opposite(Struct):
         if pair < 0:
             return
         forgotten = exp(age * p.dt / USUAL_S)  # of the heaving meanwhile
-        steady = (
-            missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors)
-            and missing.rose * forgotten < HEAVING
-        )
+        steady = missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors) and missing.rose * forgotten < HEAVING
         disturbed = max(found.disturbed(p, False) - 2.0 * CLEAR, found.disturbed(p, True))
         if steady and best > disturbed:
             self.lasted = before + p.dt

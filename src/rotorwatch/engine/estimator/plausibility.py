@@ -166,15 +166,9 @@ class Plausible(Struct):
                 demanded += coupling.raises[i][j] * (jump[j] * seen.thrust[j])
             # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
             if jump[i] > 0.0:
-                asked = (
-                    asked
-                    and seen.part[i] - min(seen.trim[i], one(slots.before[i], lane)) > DEMAND_SHARE * demanded - swing
-                )
+                asked = asked and seen.part[i] - min(seen.trim[i], one(slots.before[i], lane)) > DEMAND_SHARE * demanded - swing
             if jump[i] < 0.0 and not leader.active[i]:
-                asked = (
-                    asked
-                    and seen.part[i] - max(seen.trim[i], one(slots.before[i], lane)) < DEMAND_SHARE * demanded + swing
-                )
+                asked = asked and seen.part[i] - max(seen.trim[i], one(slots.before[i], lane)) < DEMAND_SHARE * demanded + swing
             # ... and not because a rotor at its limit gives no more.
             if jump[i] > 0.0 and not leader.active[i]:
                 fits = fits and jump[i] > missing.limit[i]

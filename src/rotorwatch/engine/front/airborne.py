@@ -340,12 +340,7 @@ class Airborne(Struct):
     def _hovers_low(self, time: Time, now: Senses) -> bool:
         """Far more than the least command for long, however slowly it was raised; and some height, where that is known."""
         raised = self.raised_since < LASTS and time - self.raised_since >= _HIGH_S
-        return (
-            self.idle_known
-            and self.lying_since >= LASTS
-            and raised
-            and (isnan(now.climb) or self.gained > 2.0 * _HEIGHT)
-        )
+        return self.idle_known and self.lying_since >= LASTS and raised and (isnan(now.climb) or self.gained > 2.0 * _HEIGHT)
 
     def _in_the_air(self, time: Time, now: Senses) -> None:
         low = self._less(now.command, _LOW)

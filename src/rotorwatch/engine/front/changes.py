@@ -37,14 +37,7 @@ class Changes(Struct):
     count: Small = 0
 
     def look(
-        self,
-        events: list[Event],
-        count: int,
-        final: Time,
-        refined: int,
-        every: bool,
-        withdrawn: list[Event],
-        out: list[Change],
+        self, events: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
     ) -> int:
         """What is new about the events as they are now, into out [2 EVENTS]; how many.
 
@@ -123,9 +116,7 @@ def _alike(old: Event, new: Event, refined: int) -> bool:
 def _goes_on(old: Event, new: Event) -> bool:
     """One that lasts, of which there can be no second: what the trim shows begins at another time when it is looked at again."""
     lasts = old.end >= LASTS and new.end >= LASTS
-    return (
-        lasts and old.kind == new.kind and old.rotors == new.rotors and (old.kind == LOSS or old.kind == TURNED_MOUNT)
-    )
+    return lasts and old.kind == new.kind and old.rotors == new.rotors and (old.kind == LOSS or old.kind == TURNED_MOUNT)
 
 
 def _moved(old: Real, new: Real) -> bool:

@@ -7,20 +7,7 @@ vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a 
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    FLAG,
-    LASTS,
-    REAL,
-    Real,
-    Reals,
-    Struct,
-    Time,
-    Times,
-    array,
-    local,
-    real,
-    sqrt,
-)
+from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, Times, array, local, real, sqrt
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.front.sizes import ROTORS, TICKS_BEFORE
 from rotorwatch.engine.front.vehicle import Vehicle
@@ -88,9 +75,7 @@ class Contact(Struct):
 
     hit: Time = -LASTS  # time of the last tick with a knock
     last = array(Touch, 1)
-    before = array(
-        REAL, TICKS_BEFORE, 4
-    )  # side force, load, load less mean thrust of the ticks before; 0 where not fresh
+    before = array(REAL, TICKS_BEFORE, 4)  # side force, load, load less mean thrust of the ticks before; 0 where not fresh
     fresh = array(FLAG, TICKS_BEFORE)
     turning: Real = 0.0  # rad/s^2, of the tick before
     recent = array(REAL, ROTORS)  # thrust of late: motors that are cut still turn

@@ -15,10 +15,7 @@ FALSE_ALARM_PERIOD_S = 10 * 3600.0  # promised: no more than one in so long
 SAME_S = 1.5  # onsets so close are of one event
 
 # Whole flights, compared with healthy flights or vehicles
-FALSE_ALARM, FALSE_FAULT = (
-    0.05,
-    0.01,
-)  # share of healthy flights of a vehicle that differ as much, for a word and for a fault
+FALSE_ALARM, FALSE_FAULT = (0.05, 0.01)  # share of healthy flights of a vehicle that differ as much, for a word and for a fault
 FALSE_FAULT_OF_ANY = 0.001  # for a fault, of healthy vehicles of any build: there are few to learn from
 DAMAGED = 0.95  # probability of being damaged that a rotor needs for the verdict fault
 MENTIONED = 0.05  # probability from which another cause is worth a word

@@ -63,9 +63,7 @@ class Override(Struct):
     rotor: int = 0  # from 0
     kind: int = OVERRIDDEN  # STUCK, OFF or OVERRIDDEN
     way: int = BY_MIXER  # how it was found
-    shared: bool = (
-        False  # another output left the mixer and came back at the same samples: the log is wrong, not a rotor
-    )
+    shared: bool = False  # another output left the mixer and came back at the same samples: the log is wrong, not a rotor
 
 
 class Rest(Struct):
@@ -368,9 +366,7 @@ class Deviations(Struct):
                 end = self.overrides[i].end
         return oldest
 
-    def _follow(
-        self, way: int, k: int, time: Time, wrong: bool, back: bool, output: Real, hold_s: Time, samples: int
-    ) -> int:
+    def _follow(self, way: int, k: int, time: Time, wrong: bool, back: bool, output: Real, hold_s: Time, samples: int) -> int:
         """One sample of one way to find an override: is the output wrong, is it well?
 
         An override is confirmed after hold_s and `samples` in a row, and over when all has been well for _BACK_S. Its place when it is
@@ -415,9 +411,7 @@ class Deviations(Struct):
 
     def _remember(self, rotors: int, time: Time, thrust: Reals, valid: bool) -> None:
         """Keep thrusts of the last _SILENT_S."""
-        while self.recent_count > 0 and (
-            self.recent_time[self.recent_first] < time - _SILENT_S or self.recent_count == RECENT
-        ):
+        while self.recent_count > 0 and (self.recent_time[self.recent_first] < time - _SILENT_S or self.recent_count == RECENT):
             self.recent_first = (self.recent_first + 1) % RECENT
             self.recent_count -= 1
         at = (self.recent_first + self.recent_count) % RECENT
@@ -486,9 +480,7 @@ def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known
         for k in range(rotors):
             known[k] = False
         return
-    if (
-        c.yaw_granted and least >= 0.0 and most <= c.top
-    ):  # beyond its limits any mixer may give up what it grants within them
+    if c.yaw_granted and least >= 0.0 and most <= c.top:  # beyond its limits any mixer may give up what it grants within them
         return
     for i in range(1, _SHARES_OF_YAW):
         _against_others(rotors, c, real(i) * 0.1, interior, other, agreed)

@@ -7,20 +7,7 @@ rotors alone, accuses nobody.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    LASTS,
-    MASK,
-    REAL,
-    TIME,
-    Mask,
-    Real,
-    Small,
-    Struct,
-    Time,
-    array,
-    copy,
-    reset,
-)
+from rotorwatch.base.compiling.structs import LASTS, MASK, REAL, TIME, Mask, Real, Small, Struct, Time, array, copy, reset
 from rotorwatch.engine.front.deviations import Override
 from rotorwatch.engine.front.sizes import ALTERNATIVES, CONTACTS, EVENTS, FALLS, TOGETHER
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, Vehicle
@@ -59,9 +46,7 @@ class Event(Struct):
     alternatives = array(MASK, ALTERNATIVES)  # sets that would look the same, the likeliest first
     alternative_count: Small = 0
     kind: Small = LOSS  # LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT
-    detail: Small = (
-        PLAIN  # of a loss PLAIN, SHARED and so on; of an override STUCK, OFF, OVERRIDDEN; of a contact TURNED and so on
-    )
+    detail: Small = PLAIN  # of a loss PLAIN, SHARED and so on; of an override STUCK, OFF, OVERRIDDEN; of a contact TURNED and so on
     source: Small = 0  # place among the losses or overrides that it came from
 
     def accuses(self) -> bool:
@@ -197,13 +182,7 @@ class Report(Struct):
         self.count = at + 1
 
     def events(
-        self,
-        v: Vehicle,
-        losses: list[Event],
-        loss_count: int,
-        overrides: list[Override],
-        override_count: int,
-        out: list[Event],
+        self, v: Vehicle, losses: list[Event], loss_count: int, overrides: list[Override], override_count: int, out: list[Event]
     ) -> int:
         """All events into out [EVENTS], in the order in which they were detected; how many."""
         count = 0

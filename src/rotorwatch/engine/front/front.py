@@ -7,21 +7,7 @@ until that is known, up to some seconds.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    FLAG,
-    LASTS,
-    REAL,
-    Real,
-    Reals,
-    Struct,
-    Time,
-    array,
-    copy,
-    embedded,
-    isnan,
-    local,
-    sqrt,
-)
+from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, array, copy, embedded, isnan, local, sqrt
 from rotorwatch.engine.front.airborne import Airborne
 from rotorwatch.engine.front.deviations import Deviations
 from rotorwatch.engine.front.mixer import Comparison, Mixer, curve
@@ -32,19 +18,7 @@ from rotorwatch.engine.front.vehicle import Vehicle
 
 # Kinds of samples; those of equal times come in this order. VELOCITY: north, east, down; SPEED: climb rate and horizontal speed alone;
 # STATE: landed, armed; VOLTAGE: as a share of full; THRUSTS: what `sense` takes without outputs (whole.cut).
-VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES, SPEED = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    6,
-    7,
-    8,
-    9,
-    10,
-)
+VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES, SPEED = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10)
 
 HELD_S = 0.15
 """Outputs older than this are not what is commanded now, where the rate controller asks for something else in between."""

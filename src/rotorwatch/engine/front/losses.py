@@ -210,9 +210,7 @@ class Losses(Struct):
             if (recovered & (1 << k)) != 0 and to.of[k] >= 0:
                 place = int(to.of[k])
                 ended = to.all[place].rotors & recovered
-                if (
-                    ended != to.all[place].rotors
-                ):  # the others are weak still: a record of its own for those that work again
+                if ended != to.all[place].rotors:  # the others are weak still: a record of its own for those that work again
                     whole = Record()
                     copy(whole, to.all[place])
                     to.all[place].only(whole.rotors & ~ended)

@@ -46,9 +46,7 @@ NOISE_SD = 0.004
 
 _GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
 _PAIR_WITHIN_S = 0.15  # outputs further than this from any sample of the rate controller have no partner
-_TOGETHER_S = (
-    0.002  # at equal rates outputs come within 1 ms of their rate controller's sample: no need to wait for the next one
-)
+_TOGETHER_S = 0.002  # at equal rates outputs come within 1 ms of their rate controller's sample: no need to wait for the next one
 _FRESH_S = 0.5  # rebuilt thrust is valid for so long after a comparison
 
 
@@ -152,9 +150,7 @@ class Mixer(Struct):
             newest.value[c] = control[c]
         return False
 
-    def thrust(
-        self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, valid_thrust: Flags
-    ) -> bool:
+    def thrust(self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, valid_thrust: Flags) -> bool:
         """Thrusts that the rate controller's output stands for, after `control` of that sample. Whether any of them is valid.
 
         valid_thrust: of each rotor; where not, the last outputs are better: at limits, with more yaw than the mixer grants, and where a
@@ -173,9 +169,7 @@ class Mixer(Struct):
             some = some or valid_thrust[k]
         return some
 
-    def _compare(
-        self, v: Vehicle, time: Time, known: Time, output: Reals, battery: Real, control: Reals, c: Comparison
-    ) -> None:
+    def _compare(self, v: Vehicle, time: Time, known: Time, output: Reals, battery: Real, control: Reals, c: Comparison) -> None:
         """Outputs against the rate controller's output of the same moment."""
         first = self.time <= -LASTS
         if first:

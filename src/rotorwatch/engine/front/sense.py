@@ -364,9 +364,7 @@ class Sense(Struct):
             k = self.accels.place(self.fed)
             if self.accels.time[k] > until:
                 return
-            while (
-                self.tail < self.fed and self.accels.time[self.accels.place(self.tail)] < self.accels.time[k] - BEFORE_S
-            ):
+            while self.tail < self.fed and self.accels.time[self.accels.place(self.tail)] < self.accels.time[k] - BEFORE_S:
                 self._forget(self.accels.place(self.tail))
                 self.tail += 1
             if self.tail == self.fed:  # sums of nothing are nothing, whatever was rounded

@@ -3,9 +3,7 @@
 ROTORS = 16
 HALF_SECOND = 4096  # samples of gyro or accelerometer in half a second
 FLIGHTS = 256  # that have ended and not been asked for
-MOTION_SAMPLES = (
-    32768  # samples of gyro or accelerometer: three seconds of the fastest and slowest ticks, 0.9 s of usual ones
-)
+MOTION_SAMPLES = 32768  # samples of gyro or accelerometer: three seconds of the fastest and slowest ticks, 0.9 s of usual ones
 LEVELS = 8192  # samples of the attitude: those of the last second and a tick
 WAITING = 8  # ticks that may wait for their motion
 TICKS_BEFORE = 12  # ticks in half a second

@@ -61,9 +61,7 @@ class Texts(Struct):
                 self.told[place].number = known[k].number
             copy(self.told[place].event, known[k].event)
             self.told[place].present = True
-            if self.told[place].over and not _over(
-                known[k].event
-            ):  # it was said to be over, and is not: as if it were another one
+            if self.told[place].over and not _over(known[k].event):  # it was said to be over, and is not: as if it were another one
                 self.told[place].over = False
                 self.told[place].severity = 0
         for i in range(EVENTS + 4):

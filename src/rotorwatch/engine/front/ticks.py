@@ -81,12 +81,7 @@ class Ticks(Struct):
         total: Real = 0.0
         for k in range(v.rotors):
             total += row.share[k]
-        if (
-            not row.some
-            or not total > 0.0
-            or not start <= row.when < start + HOVER_LEARN_S
-            or self.hover_samples == SETTLING
-        ):
+        if not row.some or not total > 0.0 or not start <= row.when < start + HOVER_LEARN_S or self.hover_samples == SETTLING:
             return
         load = max(0.5, min(2.0, row.load)) if row.load_ok else 1.0
         self.hover_samples += 1
@@ -151,9 +146,7 @@ class Ticks(Struct):
             out.valid[a] = judged and row.rate_ok
             out.rate[a] = row.rate[a]
             out.rate_dot[a] = row.rate_dot[a]
-        out.valid[YAW] = (
-            out.valid[YAW] and turns
-        )  # rotors that make no yaw torque explain none: a servo yaws a tricopter
+        out.valid[YAW] = out.valid[YAW] and turns  # rotors that make no yaw torque explain none: a servo yaws a tricopter
         out.valid[THRUST] = judged and row.load_ok
         out.load = row.load
         out.axial = row.axial

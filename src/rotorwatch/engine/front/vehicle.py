@@ -12,9 +12,7 @@ class Vehicle(Struct):
     """Rotors, mixer, thrust curve and outputs. Constant: it may stay in flash."""
 
     rotors: int = 0
-    effectiveness = array(
-        REAL, 4, ROTORS
-    )  # wrench of each rotor's hover thrust, largest lever 1: roll, pitch, yaw, thrust
+    effectiveness = array(REAL, 4, ROTORS)  # wrench of each rotor's hover thrust, largest lever 1: roll, pitch, yaw, thrust
     mixer = array(REAL, ROTORS, 4)  # thrust of each rotor for roll, pitch, yaw, throttle of the rate controller
     u_min: Real = 0.0  # output without thrust, in the outputs' unit
     u_max: Real = 1.0  # output with full thrust

@@ -5,37 +5,12 @@ A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not 
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    FLAG,
-    LASTS,
-    REAL,
-    Flags,
-    Ints,
-    Real,
-    Reals,
-    Struct,
-    Time,
-    Times,
-    array,
-    isnan,
-    local,
-    sqrt,
-)
+from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Flags, Ints, Real, Reals, Struct, Time, Times, array, isnan, local, sqrt
 from rotorwatch.engine.front.airborne import Airborne
 from rotorwatch.engine.front.changes import Change, Changes
 from rotorwatch.engine.front.deviations import Deviations, Override
 from rotorwatch.engine.front.events import Event, Report, main_event
-from rotorwatch.engine.front.front import (
-    ACCEL,
-    ATTITUDE,
-    CONTROL,
-    GYRO,
-    OUTPUTS,
-    STATE,
-    THRUSTS,
-    VELOCITY,
-    VOLTAGE,
-)
+from rotorwatch.engine.front.front import ACCEL, ATTITUDE, CONTROL, GYRO, OUTPUTS, STATE, THRUSTS, VELOCITY, VOLTAGE
 from rotorwatch.engine.front.losses import Losses
 from rotorwatch.engine.front.mixer import CONTROLS, Comparison, Mixer
 from rotorwatch.engine.front.records import Found, Records
@@ -137,9 +112,7 @@ def rest(s: Sense, v: Vehicle, p: Plan, rows: list[Sensed], room: int) -> int:
     return count
 
 
-def assemble(
-    t: Ticks, v: Vehicle, p: Plan, n: int, rows: list[Sensed], lifted: Times, start: Times, made: list[Made]
-) -> None:
+def assemble(t: Ticks, v: Vehicle, p: Plan, n: int, rows: list[Sensed], lifted: Times, start: Times, made: list[Made]) -> None:
     """n rows as the estimator gets them. lifted, start (n,): of the flight that each comes after the start of, and of the one that it lies
     in; LASTS where there is none. The rows of the first second of a flight tell what carries the vehicle."""
     flight: Time = -LASTS
@@ -163,16 +136,7 @@ class Mixed(Struct):
 
 
 def mix(
-    m: Mixer,
-    v: Vehicle,
-    n: int,
-    kind: Ints,
-    time: Times,
-    at: Ints,
-    values: Reals,
-    found: list[Comparison],
-    made: list[Mixed],
-    done: Done,
+    m: Mixer, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals, found: list[Comparison], made: list[Mixed], done: Done
 ) -> None:
     """Outputs, rate controller and voltage of n samples: comparisons of the two, of which there are at most as many as outputs, and the
     thrust of each sample of the rate controller. done: rows of `found`."""
@@ -225,9 +189,7 @@ def overrides(d: Deviations, v: Vehicle, found: list[Override]) -> int:
     return d.found(v, found)
 
 
-def announce(
-    s: Losses, v: Vehicle, n: int, time: Times, when: Times, mode: Ints, restart: Flags, found: list[Found]
-) -> None:
+def announce(s: Losses, v: Vehicle, n: int, time: Times, when: Times, mode: Ints, restart: Flags, found: list[Found]) -> None:
     """n ticks and what the estimator made of them."""
     for i in range(n):
         s.write(v, time[i], when[i], mode[i], restart[i], found[i])
@@ -275,22 +237,13 @@ def follow(
         k += 1
 
 
-def events(
-    r: Report, v: Vehicle, losses: list[Event], n: int, overridden: list[Override], m: int, out: list[Event]
-) -> int:
+def events(r: Report, v: Vehicle, losses: list[Event], n: int, overridden: list[Override], m: int, out: list[Event]) -> int:
     """All events of n losses and m overrides; how many."""
     return r.events(v, losses, n, overridden, m, out)
 
 
 def changes(
-    c: Changes,
-    found: list[Event],
-    count: int,
-    final: Time,
-    refined: int,
-    every: bool,
-    withdrawn: list[Event],
-    out: list[Change],
+    c: Changes, found: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
 ) -> int:
     """What is new about them; how much."""
     return c.look(found, count, final, refined, every, withdrawn, out)

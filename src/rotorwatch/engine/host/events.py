@@ -29,16 +29,7 @@ from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, 
 
 # Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
-COLUMNS = (
-    "theta",
-    "theta_sd",
-    "active",
-    "share",
-    "gives",
-    "onsets",
-    "probability",
-    "announced",
-)
+COLUMNS = ("theta", "theta_sd", "active", "share", "gives", "onsets", "probability", "announced")
 ROOM = 512  # ticks in one call
 HINDSIGHT = "hindsight"  # name of the source of losses in the blind time, found afterwards
 
@@ -173,29 +164,15 @@ class Report:
         self._follow(np.empty(0), np.empty(0, bool), 0.0, air, np.empty((3, 0)), final=True)
         return self
 
-    def _follow(
-        self, time: np.ndarray, upset: np.ndarray, dt: float, air, hits: np.ndarray, final: bool = False
-    ) -> None:
+    def _follow(self, time: np.ndarray, upset: np.ndarray, dt: float, air, hits: np.ndarray, final: bool = False) -> None:
         starts, ends = np.minimum(np.array(air, float).reshape(-1, 2).T, LASTS)
         rows = len(time), *map(np.ascontiguousarray, (time, upset)), float(dt), len(starts), starts.copy(), ends.copy()
-        ENGINE.call(
-            whole.follow,
-            self.state,
-            *rows,
-            hits.shape[1],
-            hits[0].copy(),
-            hits[1].astype(np.int32),
-            hits[2].copy(),
-            final,
-        )
+        ENGINE.call(whole.follow, self.state, *rows, hits.shape[1], hits[0].copy(), hits[1].astype(np.int32), hits[2].copy(), final)
 
     def events(self, lost: Sequence[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
         """All events, in the order in which they were detected: the losses that accuse and that no overridden output explains, the outputs
         that left the mixer, and the contacts, but for what is the fall or the landing."""
-        rows, outputs = (
-            ENGINE.array(definition.Event, EVENTS),
-            ENGINE.array(deviations.Override, max(1, len(overridden))),
-        )
+        rows, outputs = (ENGINE.array(definition.Event, EVENTS), ENGINE.array(deviations.Override, max(1, len(overridden))))
         outputs.fill(
             onset=np.array([o.onset_s for o in overridden]), detected=np.array([o.detected_s for o in overridden]),
             end=np.array([_end(o) for o in overridden]), rotor=np.array([o.rotors[0] - 1 for o in overridden], int),

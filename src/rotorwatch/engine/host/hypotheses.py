@@ -7,15 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.estimator.hypotheses import (
-    DISTURBANCE,
-    DISTURBANCES,
-    hypothesis_count,
-    kind_of,
-    other_rotor_of,
-    rotor_of,
-    weight_of,
-)
+from rotorwatch.engine.estimator.hypotheses import DISTURBANCE, DISTURBANCES, hypothesis_count, kind_of, other_rotor_of, rotor_of, weight_of
 
 KINDS = ("single", "pair", "recovery", "stuck", "disturbance")
 AXES = ("roll", "pitch", "yaw", "common mode")

@@ -31,11 +31,7 @@ def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
     """(mean (20,), covariance (20, 20)) of the state before anything is known of a vehicle with n rotors."""
     mean, P = np.zeros((4, PER_AXIS)), np.zeros((4, PER_AXIS, 4, PER_AXIS))
     for axis in range(4):
-        gain, sd = (
-            (n * definition.GAIN_MEAN[axis], n * definition.GAIN_SD[axis])
-            if axis < 3
-            else (1.0, definition.GAIN_SD[axis])
-        )
+        gain, sd = (n * definition.GAIN_MEAN[axis], n * definition.GAIN_SD[axis]) if axis < 3 else (1.0, definition.GAIN_SD[axis])
         rate, rate_sd = (definition.DAMPING_RATE, definition.DAMPING_RATE_SD) if axis < 3 else (0.0, 0.0)
         mean[axis, GAIN], mean[axis, DAMPING] = gain, rate * gain
         P[axis, B3, axis, B3] = definition.BIAS_SD[axis] ** 2

@@ -204,10 +204,7 @@ def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
     """(name, how much of it a vehicle with so many rotors has) of each output of a tick, of many ticks."""
     fitting = {sizes.ROTORS: rotors, sizes.HYPOTHESES: hypothesis_count(rotors)}
     kinds = ENGINE.type_of(estimator.Result)
-    return [
-        (name, tuple(slice(0, size) for size in (None, *(fitting.get(k, k) for k in kinds[name].shape))))
-        for name in kinds.names or ()
-    ]
+    return [(name, tuple(slice(0, size) for size in (None, *(fitting.get(k, k) for k in kinds[name].shape)))) for name in kinds.names or ()]
 
 
 def laid_out(parameters: dict) -> running.Rows:
@@ -215,11 +212,7 @@ def laid_out(parameters: dict) -> running.Rows:
     B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
     mean, variance = np.zeros(sizes.PLANT_STATES), np.zeros((sizes.PLANT_STATES, sizes.PLANT_STATES))
     mean[:CURVE], variance[:CURVE, :CURVE] = parameters["x0"], parameters["P0"]
-    more = {
-        CURVE: parameters["curve"],
-        AIR: parameters["air"],
-        **({} if lower is None else {SHARE: parameters["share"]}),
-    }
+    more = {CURVE: parameters["curve"], AIR: parameters["air"], **({} if lower is None else {SHARE: parameters["share"]})}
     for state, (m, v) in more.items():
         mean[state], variance[state, state] = m, v
     made = ENGINE.new(Plant)

@@ -44,9 +44,7 @@ def claim(
     return Event(EVIDENCE, rotors, start_s, end_s, end_s, (), interval, probability, source=source)
 
 
-def find(
-    out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None
-) -> tuple[Event, ...]:
+def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None) -> tuple[Event, ...]:
     """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
     `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
     rotor's loss would change them. None in flights without an event: what they hide is `answer.unseen`'s. out: the estimator's stacked

@@ -87,17 +87,12 @@ def gaps(flight: Flight, air) -> tuple[Gap, ...]:
                 found.setdefault(key, []).append(k + 1)
     every = tuple(range(1, motors.values.shape[1] + 1))
     last = float(motors.time[motors.valid.any(axis=1)][-1]) if air else np.inf
-    moved = max(
-        (float(s.time[-1]) for name in ("gyro", "accel") if (s := flight.signals.get(name)) and len(s)), default=0.0
-    )
+    moved = max((float(s.time[-1]) for name in ("gyro", "accel") if (s := flight.signals.get(name)) and len(s)), default=0.0)
     grounded = any(m.time > last - CONFIRM_S and m.kind == kind and (m.value > 0.5) == down
                    for m in flight.messages for kind, down in (("landed", True), ("armed", False)) if m.time <= last + GAP_S)  # fmt: skip
-    open_ended = (
-        [(last, moved, False, True)] if air and air[-1][1] >= last and moved > last + GAP_S and not grounded else []
-    )
+    open_ended = [(last, moved, False, True)] if air and air[-1][1] >= last and moved > last + GAP_S and not grounded else []
     return tuple(
-        Gap(rotors, *span)
-        for span, rotors in sorted([*((k, tuple(v)) for k, v in found.items()), *((s, every) for s in open_ended)])
+        Gap(rotors, *span) for span, rotors in sorted([*((k, tuple(v)) for k, v in found.items()), *((s, every) for s in open_ended)])
     )
 
 

@@ -97,12 +97,8 @@ def _in_words(
 ) -> Override:  # fmt: skip
     kind, named = KINDS[number], f"output {rotor + 1}"
     if demanded >= 0.0:
-        reason = (
-            f"{named} was at {output:.4g} while the mixer asked for {demanded:.0%} of full thrust and got {got:.0%}"
-        )
+        reason = f"{named} was at {output:.4g} while the mixer asked for {demanded:.0%} of full thrust and got {got:.0%}"
     else:
-        reason = (
-            f"{named} {'did not move' if kind == 'stuck' else 'was off'} at {output:.4g} while the others kept working"
-        )
+        reason = f"{named} {'did not move' if kind == 'stuck' else 'was off'} at {output:.4g} while the others kept working"
     known_demand = demanded if demanded >= 0.0 else None
     return Override(rotor + 1, kind, onset, detected, None if end >= LASTS else end, reason, known_demand, shared)

@@ -74,9 +74,7 @@ def other_axes(rate: np.ndarray, turned: np.ndarray, what: str) -> str | None:
     """A sentence where a gyro's mean rates (m, 3) are those of other axes of `turned` (m, 3), or of reversed ones."""
     if len(rate) < 50:
         return None
-    rate, turned = (
-        np.clip(x, -5.0 * usual, 5.0 * usual) for x in (rate, turned) if (usual := np.sqrt(np.mean(x * x))) > 0.0
-    )
+    rate, turned = (np.clip(x, -5.0 * usual, 5.0 * usual) for x in (rate, turned) if (usual := np.sqrt(np.mean(x * x))) > 0.0)
     if len(rate) < 50 or np.sqrt(np.mean(turned**2)) < MOVING:
         return None
     rate, turned = rate - rate.mean(axis=0), turned - turned.mean(axis=0)

@@ -26,11 +26,7 @@ from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
-WINDOW_S, LEAST, LEAST_WINDOWS = (
-    4.0,
-    12,
-    3,
-)  # length of a window, outputs in it, and windows with differences that can be seen
+WINDOW_S, LEAST, LEAST_WINDOWS = (4.0, 12, 3)  # length of a window, outputs in it, and windows with differences that can be seen
 RATE_HZ = 20.0  # of outputs that are looked at, at least, where there are so many
 PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them have no partner
 SEEN = 0.0015  # share of full thrust: rms of differences between rotors, above what rounding to 1 us makes
@@ -308,9 +304,7 @@ def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:
     values = np.where(known, motors.values[rows], np.nan)
     if len(values) < LEAST * LEAST_WINDOWS:
         return None
-    moves = np.array([np.ptp(x[~np.isnan(x)]) if (~np.isnan(x)).any() else 0.0 for x in values.T]) > STILL * (
-        high - low
-    )
+    moves = np.array([np.ptp(x[~np.isnan(x)]) if (~np.isnan(x)).any() else 0.0 for x in values.T]) > STILL * (high - low)
     if moves.all() or moves.sum() < 2:
         return None
     still = [(k + 1, values[:, k][~np.isnan(values[:, k])]) for k in np.flatnonzero(~moves)]

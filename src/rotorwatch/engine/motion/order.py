@@ -19,15 +19,9 @@ from rotorwatch.engine.motion.ticks import Ticks
 
 ALL_ORDERS = 6  # rotors, up to which every order is tried; of more, exchanges of two and turns about the frame
 LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind commands; over which trim is taken out
-ALIKE_FOR, NOISE_S = (
-    3,
-    0.2,
-)  # neighbouring ticks with the same error; over which the noise of a rate's change is averaged
+ALIKE_FOR, NOISE_S = (3, 0.2)  # neighbouring ticks with the same error; over which the noise of a rate's change is averaged
 LARGE = 3.0  # times the usual size, to which knocks are bounded
-NATS, PART = (
-    20.0,
-    4.0,
-)  # by which the log-likelihood of another order must be higher; and that share of it in each half of the flight
+NATS, PART = (20.0, 4.0)  # by which the log-likelihood of another order must be higher; and that share of it in each half of the flight
 FAILS, SHOWS = 0.35, 0.1  # own share of an axis, of that which the other order explains of it; and that share
 LOSES = 0.35  # of the gain in log-likelihood, that an axis may lose
 
@@ -57,10 +51,7 @@ def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
     if more.sum() < NATS or more.min() < -LOSES * more.sum() or not fails.any():
         return None
     middle = int(np.searchsorted(ok.cumsum(), ok.sum() // 2))
-    for rows in (
-        slice(middle),
-        slice(middle, None),
-    ):  # outputs do not change their places in flight; what pushes a vehicle comes and goes
+    for rows in (slice(middle), slice(middle, None)):  # outputs do not change their places in flight; what pushes a vehicle comes and goes
         part = explained(rows)[1].sum(axis=1)
         if part[best] < part[0] + NATS / PART:
             return None

@@ -11,16 +11,12 @@ from rotorwatch.flight.vehicle import Vehicle
 SIGNALS = ("motors", "control", "gyro", "rates", "accel", "velocity", "attitude", "lift", "battery")
 
 
-def samples(
-    signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool
-) -> Samples:
+def samples(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool) -> Samples:
     """`parts` in one row."""
     return merged(parts(signals, messages, vehicle, gyro, battery))
 
 
-def parts(
-    signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool
-) -> list[Part]:
+def parts(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool) -> list[Part]:
     """What the diagnoser takes of signals, and of the words of the autopilot. gyro: the signal that tells angular rates; battery: its
     voltage is known, now or later, which counts where motors are driven straight from it."""
     full = vehicle.extra.get("full_voltage") if battery else None

@@ -289,9 +289,7 @@ def cut_ticks(
     return assemble(sense(flight, thrust, how, progress), how, B, airborne, hover)
 
 
-def assemble(
-    seen: Sensed, plan: Plan, B: np.ndarray, airborne: tuple[tuple[float, float], ...], hover: float | None = None
-) -> Ticks:
+def assemble(seen: Sensed, plan: Plan, B: np.ndarray, airborne: tuple[tuple[float, float], ...], hover: float | None = None) -> Ticks:
     """Ticks from what was measured in them and when the vehicle was in the air."""
     n, count, time = B.shape[1], len(seen), seen.time
     lifted, start = np.full(count, LASTS), np.full(count, LASTS)

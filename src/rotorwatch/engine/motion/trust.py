@@ -193,10 +193,7 @@ def outputs_that_never_move(case: Case) -> str | None:
 
 def wild_motion(case: Case) -> str | None:
     """Rates or accelerations that no vehicle survives, for half a second: wrong units, or not a sensor's values."""
-    for name, limit, what, unit in (
-        ("gyro", WILD_RATE, "turns at", "rad/s"),
-        ("accel", WILD_FORCE, "accelerates at", "m/s^2"),
-    ):
+    for name, limit, what, unit in (("gyro", WILD_RATE, "turns at", "rad/s"), ("accel", WILD_FORCE, "accelerates at", "m/s^2")):
         if not case.flight.has(name):
             continue
         width, most, at = max(1, round(WILD_S * case.flight[name].rate_hz)), 0.0, 0.0
@@ -257,11 +254,7 @@ def attitude_against_gyro(case: Case) -> str | None:
     if low <= NEARER and high >= 1.0 / NEARER:
         return None
     units = [name for name, factor in GYRO_UNITS.items() if low < factor * NEARER and high > factor / NEARER]
-    why = (
-        f"it seems to be in {units[0]} instead of rad/s."
-        if units
-        else "one of them is in a wrong unit, or is of another vehicle."
-    )
+    why = f"it seems to be in {units[0]} instead of rad/s." if units else "one of them is in a wrong unit, or is of another vehicle."
     return f"the gyro turns {(low * high) ** 0.5:.3g} times as fast as the attitude: {why}"
 
 
@@ -277,9 +270,7 @@ def gyro_axes(case: Case) -> str | None:
     used = case.flight.signals.get("rates")
     if used is None or used.source == case.flight["gyro"].source or used.source.endswith(turning.MADE):
         return None
-    return inertial.other_axes(
-        *inertial.together(case.flight["gyro"], used, case.air), "the rates that the controller used"
-    )
+    return inertial.other_axes(*inertial.together(case.flight["gyro"], used, case.air), "the rates that the controller used")
 
 
 def two_clocks(case: Case) -> str | None:
@@ -291,9 +282,7 @@ def two_clocks(case: Case) -> str | None:
     if differ.sum() < LEAST_PARTS or differ.mean() < 0.5:
         return None
     lags = np.arange(-APART_S, APART_S + 0.5 * LAG_S, LAG_S)
-    alike = inertial.alike_at(inertial.turns(case.flight["attitude"], case.flight["gyro"], case.air, lags))[1].max(
-        axis=2
-    )
+    alike = inertial.alike_at(inertial.turns(case.flight["attitude"], case.flight["gyro"], case.air, lags))[1].max(axis=2)
     found = differ & (alike.max(axis=0) > THE_SAME)
     when, apart = when[found], lags[alike.argmax(axis=0)][found]
     if found.sum() < LEAST_PARTS or found.mean() < 0.5:

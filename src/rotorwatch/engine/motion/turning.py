@@ -41,13 +41,7 @@ def between(p: np.ndarray, q: np.ndarray) -> np.ndarray:
     a, b, c, d = (p * [1.0, -1.0, -1.0, -1.0]).T
     w, x, y, z = q.T
     turned = np.stack(
-        [
-            a * w - b * x - c * y - d * z,
-            a * x + b * w + c * z - d * y,
-            a * y - b * z + c * w + d * x,
-            a * z + b * y - c * x + d * w,
-        ],
-        axis=1,
+        [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w], axis=1
     )
     turned *= np.where(turned[:, :1] < 0.0, -1.0, 1.0)
     sine = np.linalg.norm(turned[:, 1:], axis=1, keepdims=True)

@@ -8,20 +8,7 @@ manoeuvres are integrated out, as columns of which nothing, or GAIN, is known: w
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    REAL,
-    TIME,
-    Real,
-    Reals,
-    Struct,
-    Time,
-    Times,
-    array,
-    local,
-    log,
-    real,
-    sqrt,
-)
+from rotorwatch.base.compiling.structs import REAL, TIME, Real, Reals, Struct, Time, Times, array, local, log, real, sqrt
 from rotorwatch.engine.trim.sizes import BLOCKS, ROWS, STEADY
 from rotorwatch.engine.trim.stretch import LEVEL, Stretch
 

@@ -12,9 +12,7 @@ from rotorwatch.engine.trim.trim import Trim
 SLICES = 1000  # after one tick: all that are due
 
 
-def pass_on(
-    t: Trim, v: Vehicle, dt: Time, n: int, time: Times, mode: Ints, usable: Flags, lacking: Reals, thrust: Reals
-) -> None:
+def pass_on(t: Trim, v: Vehicle, dt: Time, n: int, time: Times, mode: Ints, usable: Flags, lacking: Reals, thrust: Reals) -> None:
     """n ticks of dt s; lacking (n, 3), thrust (n, rotors), row by row."""
     lacks = local(REAL, 3)
     commanded = local(REAL, ROTORS)

@@ -6,23 +6,7 @@ that is over leaves none.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    LASTS,
-    REAL,
-    SMALL,
-    TIME,
-    Real,
-    Small,
-    Struct,
-    Time,
-    array,
-    copy,
-    exp,
-    local,
-    log,
-    real,
-    sqrt,
-)
+from rotorwatch.base.compiling.structs import LASTS, REAL, SMALL, TIME, Real, Small, Struct, Time, array, copy, exp, local, log, real, sqrt
 from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.front.decisions import CLEAR, CREDIBLE, WORN
 from rotorwatch.engine.front.events import GREW, LOSS, STAYS, TURNED_MOUNT, Event, put
@@ -293,9 +277,7 @@ class Mount(Struct):
 
 def _mean(weighted: Sum, weights: Sum) -> Real:
     """A mean whose weights are logarithms."""
-    return (
-        weighted.total / weights.total * exp(min(weighted.top - weights.top, MOST_NATS)) if weights.total > 0.0 else 0.0
-    )
+    return weighted.total / weights.total * exp(min(weighted.top - weights.top, MOST_NATS)) if weights.total > 0.0 else 0.0
 
 
 def _turn(k: int) -> Real:

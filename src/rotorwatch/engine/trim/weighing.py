@@ -24,34 +24,11 @@ A slice of the work is half of what one course takes: one t0 and t1. Everything 
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import (
-    REAL,
-    SMALL,
-    Real,
-    Small,
-    Struct,
-    array,
-    embedded,
-    exp,
-    local,
-    log,
-    real,
-    reset,
-)
+from rotorwatch.base.compiling.structs import REAL, SMALL, Real, Small, Struct, array, embedded, exp, local, log, real, reset
 from rotorwatch.engine.front.sizes import ROTORS
 from rotorwatch.engine.front.vehicle import PITCH, ROLL, YAW, Vehicle
 from rotorwatch.engine.trim.fit import DOUBT, WHITE, Fit
-from rotorwatch.engine.trim.sizes import (
-    AMOUNTS_EACH,
-    AMOUNTS_TURNED,
-    BLOCKS,
-    COLUMNS,
-    COURSES,
-    LOSSES_EACH,
-    ONSETS,
-    RATIOS,
-    RISE_KINDS,
-)
+from rotorwatch.engine.trim.sizes import AMOUNTS_EACH, AMOUNTS_TURNED, BLOCKS, COLUMNS, COURSES, LOSSES_EACH, ONSETS, RATIOS, RISE_KINDS
 from rotorwatch.engine.trim.stretch import Stretch
 
 RISES = (0.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0)  # blocks from t0 to t1

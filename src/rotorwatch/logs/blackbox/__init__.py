@@ -89,9 +89,7 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
         if part is None and others:
             named = ", ".join(f"#{k}" for k in others[:NAMED])
             others_more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
-            notes.append(
-                f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{others_more}."
-            )
+            notes.append(f"This is session {number} of {len(starts) - 1}, the longest; also in this file: {named}{others_more}.")
         return _flight(session, name, number, notes)
     raise AssertionError
 
@@ -101,12 +99,7 @@ def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) 
     first = session.time[0]
     time = (session.time - first) * 1e-6
     columns = flight.Columns(session.main.columns, time, session.header, notes)
-    counts = {
-        "main": len(session.main),
-        "slow": len(session.slow),
-        "gps": len(session.gps),
-        "event": len(session.events),
-    }
+    counts = {"main": len(session.main), "slow": len(session.slow), "gps": len(session.gps), "event": len(session.events)}
     facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
     flown = flight.assembled(
         columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
@@ -121,9 +114,7 @@ def _damage(session: decoder.Session) -> list[str]:
     lost = session.corrupt + session.orphans
     if lost or session.garbage:
         what = f"{session.corrupt} damaged frame{'s' if session.corrupt != 1 else ''}"
-        sentences.append(
-            f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were skipped."
-        )
+        sentences.append(f"{what}, {session.orphans} more that need them, and {session.garbage} bytes between frames were skipped.")
     if session.header.lost:
         kinds = " and ".join(session.header.lost)
         sentences.append(f"The header's list of fields of {kinds} frames is damaged: those frames were skipped.")

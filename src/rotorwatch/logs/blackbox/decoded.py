@@ -62,9 +62,7 @@ def read(data, name: str, progress=None) -> Flight:
                 notes.append(f"{kind} is left out: the table does not give its unit, {unit} is not known.")
         else:
             table[column] = table[column] * factor
-    notes.append(
-        "This is a table of blackbox_decode without the log's header: give the log itself, which has more data."
-    )
+    notes.append("This is a table of blackbox_decode without the log's header: give the log itself, which has more data.")
     columns = flight.Columns(table, time - start, Header(0, settings), notes)
     flown = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
     return Flight(**{**vars(flown), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})

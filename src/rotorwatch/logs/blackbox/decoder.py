@@ -60,11 +60,7 @@ class Session(NamedTuple):
 
 
 def decode(
-    data,
-    start: int,
-    end: int,
-    progress: Callable[[float], None] | None = None,
-    wanted: Callable[[str], bool] = lambda name: True,
+    data, start: int, end: int, progress: Callable[[float], None] | None = None, wanted: Callable[[str], bool] = lambda name: True
 ) -> Session:
     """The session whose header begins at byte `start`; it ends before `end`. wanted: whether a field of main frames is kept, besides
     time.
@@ -102,9 +98,7 @@ def decode(
             progress(float(stream["at"][0]) / max(size, 1))
     rows = [pieces[0] if len(pieces) == 1 else np.concatenate(pieces) for pieces in chunks]
     whole = _table(about, "I", used, rows[0], 0)
-    slow_frames, gps_frames = (
-        _table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:])
-    )
+    slow_frames, gps_frames = (_table(about, kind, np.arange(table.shape[1] - 1), table, 1) for kind, table in zip("SG", rows[1:]))
     if not len(whole):
         raise LogError("the session holds no frames that can be read")
     corrupt, orphans, garbage = (int(stream[name][0]) for name in ("corrupt", "orphans", "garbage"))

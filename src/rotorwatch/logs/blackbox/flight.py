@@ -100,9 +100,7 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
         scale = 1.0
     to_rad = np.radians(scale) / header.resolution * FLIP
     rates = columns.signal("rates", None if filtered is None else filtered * to_rad, "gyroADC")
-    gyro = columns.signal(
-        "gyro", None if raw is None else raw * to_rad, "gyroUnfilt" if "gyroUnfilt[0]" in columns.table else "gyroRaw"
-    )
+    gyro = columns.signal("gyro", None if raw is None else raw * to_rad, "gyroUnfilt" if "gyroUnfilt[0]" in columns.table else "gyroRaw")
     if gyro is None and filtered is not None:
         gyro = columns.signal("gyro", filtered * to_rad, "gyroADC")
     wanted, source = columns.three("setpoint"), "setpoint"
@@ -160,11 +158,7 @@ def _demand(columns: Columns) -> np.ndarray | None:
     if any(part is None for part in parts):
         return None
     total = np.stack(
-        [
-            sum(columns.table[f"axis{p}[{k}]"].astype(float) for p in "PIDFS" if f"axis{p}[{k}]" in columns.table)
-            for k in range(3)
-        ],
-        axis=1,
+        [sum(columns.table[f"axis{p}[{k}]"].astype(float) for p in "PIDFS" if f"axis{p}[{k}]" in columns.table) for k in range(3)], axis=1
     )
     most = columns.header.number("pidsum_limit", 1e4), columns.header.number("pidsum_limit_yaw", 1e4)
     limit = np.array([most[0], most[0], most[1]])
@@ -175,9 +169,7 @@ def _control(columns: Columns, demand: np.ndarray | None) -> Signal | None:
     thrust = columns.get("setpoint[3]")
     if demand is None or thrust is None:
         return None
-    return columns.signal(
-        "control", np.column_stack([demand, thrust / 1000.0]), "axisP + axisI + axisD + axisF, setpoint[3]"
-    )
+    return columns.signal("control", np.column_stack([demand, thrust / 1000.0]), "axisP + axisI + axisD + axisF, setpoint[3]")
 
 
 def _mixer(share: np.ndarray, demand: np.ndarray) -> dict[str, Any]:
@@ -258,14 +250,10 @@ def _battery(columns: Columns) -> Signal | None:
         unit, hundredths = 3.3 / 4095.0 * header.number("vbatscale", 110.0) / 10.0, False
     current = columns.get("amperageLatest")
     current = columns.get("amperage") if current is None else current
-    measured = (
-        hundredths and current is not None and ("currentSensor" in header.settings or autopilot(header) == "INAV")
-    )
+    measured = hundredths and current is not None and ("currentSensor" in header.settings or autopilot(header) == "INAV")
     amperes = current / 100.0 if measured and current is not None else np.full(volts.shape, np.nan)
     values = np.column_stack([volts * unit, amperes])
-    return columns.signal(
-        "battery", values, "vbatLatest" if "vbatLatest" in columns.table else "vbat", series.voltage_and_current(values)
-    )
+    return columns.signal("battery", values, "vbatLatest" if "vbatLatest" in columns.table else "vbat", series.voltage_and_current(values))
 
 
 def altitude_unit(header: Header) -> float:

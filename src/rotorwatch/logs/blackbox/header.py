@@ -202,9 +202,7 @@ def fill(stream: Rows, header: Header) -> None:
 def laid_out(kind: str, layout: Layout) -> tuple[list[int], list[tuple[int, int]], list[tuple[int, int, int]]]:
     """(encodings, runs: from, to; steps: predictor, from, to) of `frames.Layout`. Raises LogError for an invalid layout."""
     known = range(12)
-    if any(e not in known or e == encodings.UNUSED for e in layout.encoding) or any(
-        p not in known for p in layout.predictor
-    ):
+    if any(e not in known or e == encodings.UNUSED for e in layout.encoding) or any(p not in known for p in layout.predictor):
         raise LogError(f"the fields of {kind} frames have an unknown encoding")
     # A field that always goes up by one is not written.
     how = [encodings.NOTHING if p == frames.INCREMENT else e for e, p in zip(layout.encoding, layout.predictor)]

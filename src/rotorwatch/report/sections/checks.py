@@ -22,10 +22,7 @@ def words(data: list[tuple[str, str, str, str]]) -> list[Block]:
 def rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
     """(check, finding, time, reason) of our events and of the other checks' findings, in order of time; empty without any."""
     method = "rotorwatch" if diagnosis.estimator == "default" else diagnosis.estimator
-    rows = [
-        (method if e.kind == LOSS else "rotorwatch", candidates(e), e.detected_s, e.means.noun)
-        for e in diagnosis.events
-    ]
+    rows = [(method if e.kind == LOSS else "rotorwatch", candidates(e), e.detected_s, e.means.noun) for e in diagnosis.events]
     for row in diagnosis.comparison:
         named = rotors((row["rotor"],) if row.get("rotor") else ())
         rows.append((str(row.get("detector", "")), named, row["time_s"], row.get("reason", "")))

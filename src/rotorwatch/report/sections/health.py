@@ -24,9 +24,7 @@ def words(data: Diagnosis) -> list[Block]:
 
 def summary(data: Diagnosis) -> list[Block]:
     """The rotors whose loss grows or shrinks."""
-    said = " ".join(
-        f"Rotor {r.rotor}: {_trend(r)}." for r in data.rotors if r.trend and r.trend.word in ("growing", "shrinking")
-    )
+    said = " ".join(f"Rotor {r.rotor}: {_trend(r)}." for r in data.rotors if r.trend and r.trend.word in ("growing", "shrinking"))
     return [Text(said)] if said else []
 
 

@@ -40,9 +40,7 @@ def rows(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     rows = {
         "answer": f"{verdict}: {facts.get('reason', '')}",
         "compared with": "" if count is None else f"{count} healthy flight{'s' if count != 1 else ''} of this build",
-        "what explains the difference": "; ".join(
-            f"{_cause(c, diagnosis)} {probability(float(c['probability']))}" for c in likely
-        ),
+        "what explains the difference": "; ".join(f"{_cause(c, diagnosis)} {probability(float(c['probability']))}" for c in likely),
     }
     if facts.get("common") is not None and facts.get("verdict") != "inconclusive":
         rows["all rotors together"] = (

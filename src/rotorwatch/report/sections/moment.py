@@ -26,8 +26,7 @@ def page(data: Diagnosis, divs: dict[str, str]) -> str:
         return ""
     looks, places = colours.looks(data), report.places(data)
     keys = " &ensp; ".join(
-        f'<span class="nowrap">{markup.line(*looks[r.rotor])}{markup.text(report.rotors([r.rotor], places))}</span>'
-        for r in data.rotors
+        f'<span class="nowrap">{markup.line(*looks[r.rotor])}{markup.text(report.rotors([r.rotor], places))}</span>' for r in data.rotors
     )
     return (
         f'<section class="moment" id="moment"><h2>{title}</h2><p>Attitude and rates: blue as it flew, dashed the '

@@ -22,9 +22,7 @@ def data(diagnosis: Diagnosis) -> Diagnosis:
 def words(data: Diagnosis) -> list[Block]:
     if not data.rotors:
         return []
-    rows = [
-        (str(r.rotor), r.place, r.status, report.rotor_loss(r), report.rotor_interval(r), r.note) for r in data.rotors
-    ]
+    rows = [(str(r.rotor), r.place, r.status, report.rotor_loss(r), report.rotor_interval(r), r.note) for r in data.rotors]
     table = Table((*HEAD, ""), rows, most=None)
     return [Title(heading(data)), table, *([Text(text)] if (text := scope(data)) else [])]
 
@@ -94,7 +92,7 @@ def heading(diagnosis: Diagnosis) -> str:
     if all(r.status == "unobservable" for r in diagnosis.rotors):
         if diagnosis.story and any(r.note for r in diagnosis.rotors):
             return "Rotors: last time each was seen working"
-            return "Rotors: none could be assessed"
+        return "Rotors: none could be assessed"
     if diagnosis.story:
         return "Rotors, up to the loss of control and after it"
     return "Rotors at the end of the assessed flight"
@@ -106,9 +104,7 @@ def scope(diagnosis: Diagnosis) -> str:
     if diagnosis.own is None or not said:
         return said
     name = diagnosis.estimator
-    shared = (
-        f"Losses and intervals are those of the decision stage common to all methods, fed with the estimates of {name}"
-    )
+    shared = f"Losses and intervals are those of the decision stage common to all methods, fed with the estimates of {name}"
     return f"{said} {shared}; {name}'s own are listed separately."
 
 

@@ -191,9 +191,7 @@ def _peaks(seen: list[Channel], i: int, lengths: np.ndarray, dt: float) -> list[
     return out
 
 
-def _evaluated(
-    seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, rotors: list[int], limit: float
-) -> Desync | None:
+def _evaluated(seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, rotors: list[int], limit: float) -> Desync | None:
     """The desync of rotor i near (start, length); None where the evidence is not sufficient."""
     dt = seen[0].width
     start, length = _refined(seen, i, start, length, lengths, limit - REFINED)
@@ -226,14 +224,10 @@ def _evaluated(
                 others.append(j)
     time = seen[0].time
     commanded = float((seen[0].thrust[inside, i] > IDLE).sum() * dt)
-    return Desync(
-        i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, commanded, tuple(others)
-    )
+    return Desync(i, float(time[start]), float(time[start] + length * dt), ratio - limit, size, commanded, tuple(others))
 
 
-def _refined(
-    seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, least: float
-) -> tuple[int, int]:
+def _refined(seen: list[Channel], i: int, start: int, length: int, lengths: np.ndarray, least: float) -> tuple[int, int]:
     """The most likely start and length near these, in windows; (0, 0) where no refinement can reach `least`.
 
     First the start, then the end, over half the length and over all of `lengths`: a falling speed makes the likelihood a narrow ridge, and
@@ -262,9 +256,7 @@ def _refined(
     return start, length
 
 
-def _ratios(
-    seen: list[Channel], i: int, start: int, length: int, until: int | None = None, rougher: tuple[float, ...] = ROUGHER
-) -> Ratios:
+def _ratios(seen: list[Channel], i: int, start: int, length: int, until: int | None = None, rougher: tuple[float, ...] = ROUGHER) -> Ratios:
     """Likelihood ratios of a desync of rotor i from its start until the last response, or `until`. rougher: factors on the scale of the
     noise."""
     each = np.zeros((len(SLOWER_S), len(rougher), len(seen), len(SIZES)))

@@ -44,10 +44,7 @@ FIRM = 10  # blocks before and after an onset
 READY_S = LEARN_LEAST * BLOCK_S + 2.0 * EDGE_S  # in the air, before anything is judged
 ALIKE = 0.35  # correlation of successive blocks' noise: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
 LOSS_SD, STEP_SD = 0.25, 0.08  # prior of a loss; of a step of the trim, full thrusts of a rotor
-SCATTER, PRIOR_BLOCKS = (
-    (0.3, 0.25, 0.2),
-    5.0,
-)  # of the mean thrust: prior of the noise, and its weight in blocks
+SCATTER, PRIOR_BLOCKS = ((0.3, 0.25, 0.2), 5.0)  # of the mean thrust: prior of the noise, and its weight in blocks
 OUTLIER = 3.0  # standard deviations, from which a block counts less
 LOOK_BACK = 60  # blocks
 WHOLE = 0.9  # share of a block's windows that fly
@@ -115,10 +112,7 @@ def applies(flight: Flight, table: Ticks | None) -> bool:
 def decline(flight: Flight, why: str, vehicle: Vehicle | None = None) -> None:
     """Raise ConfigError where a method made for hover is applied to a flight that does not. why: end of the sentence; vehicle: as given,
     None: as the log names it."""
-    if (
-        flown_by_rates(flight)
-        or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ
-    ):
+    if flown_by_rates(flight) or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ:
         craft = vehicle or airframes.identify(flight)
         if applies(flight, observe(flight, craft, airborne(flight), READY_KNOWN_S)):
             raise ConfigError(f"{flight.name or 'The log'} does not hover: {why}")

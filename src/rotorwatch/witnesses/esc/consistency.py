@@ -108,9 +108,7 @@ def _with_cause(event: Event, bins: Binned, calm: np.ndarray, healthy: np.ndarra
     sentence = "; ".join(in_words(t) for t in entries)
     event = replace(event, reason=f"{event.reason.removesuffix('.')}; {sentence}", extra=extra)
     stands = [t for t in entries if t["thrust_of_speed"] < ratios.STANDS]
-    if (
-        len(event.rotors) == 1 and stands
-    ):  # a stopped rotor gives no thrust, whatever the motion of a tumbling vehicle suggests
+    if len(event.rotors) == 1 and stands:  # a stopped rotor gives no thrust, whatever the motion of a tumbling vehicle suggests
         event = replace(event, loss=(1.0,), interval=((stopped.LEAST_LOSS, 1.0),))
     return event
 

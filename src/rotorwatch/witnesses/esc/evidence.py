@@ -13,11 +13,7 @@ FAULT_AFTER_S = 3.0  # a fault that begins so long after a rotor has stopped is 
 
 
 def _named_as_it_stands(claim: Event, known: Event) -> bool:
-    return (
-        known.means.lasting_fault
-        and claim.rotors[0] in known.suspects
-        and known.onset_s < claim.onset_s + FAULT_AFTER_S
-    )
+    return known.means.lasting_fault and claim.rotors[0] in known.suspects and known.onset_s < claim.onset_s + FAULT_AFTER_S
 
 
 STANDS = Source("esc: stopped", 7, _named_as_it_stands)

@@ -189,13 +189,7 @@ def _bounded(value: float, sd: float) -> tuple[float, float, float]:
 
 
 def measure(
-    laws: tuple[Law, Law | None],
-    bins,
-    k: int,
-    before: np.ndarray,
-    after: np.ndarray,
-    healthy: np.ndarray,
-    swings: bool = False,
+    laws: tuple[Law, Law | None], bins, k: int, before: np.ndarray, after: np.ndarray, healthy: np.ndarray, swings: bool = False
 ) -> Measured | None:
     """Telemetry of rotor k (from 0) in the bins `after`, relative to those `before` (T,) bool; None where there are too few of either.
 

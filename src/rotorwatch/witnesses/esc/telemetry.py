@@ -96,9 +96,7 @@ def read(flight: Flight, thrust: Signal, air: allocation.Spans) -> tuple[Binned 
     _note_frozen(esc.time, still, notes)
     # An ESC that repeats its last report repeats all of it.
     speed = Quantity(speed.values, speed.valid & ~still)
-    current = Quantity(
-        current.values, current.valid & usable & ~still & ~still_current & _ever_above_zero(current, inside)
-    )
+    current = Quantity(current.values, current.valid & usable & ~still & ~still_current & _ever_above_zero(current, inside))
     bins = binned(esc.time, speed, current, voltage, thrust, air)
     if bins is None or not bins.known.any():
         return None, notes
@@ -118,9 +116,7 @@ def _reporting(speed: Quantity, inside, notes: list[str]) -> np.ndarray:
     first = inside & (np.cumsum(inside) <= max(FROZEN_SAMPLES, 0.3 * inside.sum()))
     turning = np.array([np.any(speed.values[first & speed.valid[:, k], k] > 0.0) for k in range(n)])
     if not (there & turning).any():
-        notes.append(
-            "ESC telemetry reports no speed in flight (not connected, or the number of poles not set); it is not used."
-        )
+        notes.append("ESC telemetry reports no speed in flight (not connected, or the number of poles not set); it is not used.")
         return there & turning
     silent, idle = np.flatnonzero(~there) + 1, np.flatnonzero(there & ~turning) + 1
     if silent.size:
@@ -249,9 +245,7 @@ def binned(time, speed: Quantity, current: Quantity, voltage: Quantity, thrust: 
         w2, known = _means(time, speed.values**2, speed.valid, lo, hi, turning)
         amps, amps_known = _means(time, current.values, current.valid, lo, hi, turning)
         volts, volts_known = _means(time, voltage.values, voltage.valid, lo, hi)
-        parts.append(
-            (0.5 * (lo + hi), np.where(turning, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known)
-        )
+        parts.append((0.5 * (lo + hi), np.where(turning, commanded, 1.0), w2, known, amps, amps_known, volts, volts_known))
     if not parts:
         return None
     names = ("time", "thrust", "power", "known", "current", "current_known", "voltage", "voltage_known")

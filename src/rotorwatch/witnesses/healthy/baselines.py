@@ -166,18 +166,12 @@ def healthy(
     accepted = _alike_in_hover(accepted, rejected)
     if not accepted:
         reasons = "; ".join(f"{name}: {why}" for name, why in rejected)
-        raise VehicleError(
-            f"No healthy flight is left to learn from ({reasons}); give healthy flights of one aircraft."
-        )
+        raise VehicleError(f"No healthy flight is left to learn from ({reasons}); give healthy flights of one aircraft.")
     return tuple(accepted), tuple(f"{name} was set aside: {why}" for name, why in rejected)
 
 
 def settle(
-    flight: Flight,
-    vehicle: Vehicle | None,
-    baseline: Given | Iterable[Given],
-    diagnose: Diagnose,
-    progress: Callable | None = None,
+    flight: Flight, vehicle: Vehicle | None, baseline: Given | Iterable[Given], diagnose: Diagnose, progress: Callable | None = None
 ) -> tuple[Vehicle, str, tuple[str, ...]]:
     """The vehicle for the diagnosis of a flight, the name of what was taken as healthy ("none" without), and warnings.
 
@@ -244,9 +238,7 @@ def _same_build(flights: list[Candidate], of: Candidate | None, rejected: list[t
     if of is not None:
         reference, why = of, [unlike(candidate, of) for candidate in flights]
     else:
-        table = [
-            [unlike(candidate, other) if candidate is not other else "" for candidate in flights] for other in flights
-        ]
+        table = [[unlike(candidate, other) if candidate is not other else "" for candidate in flights] for other in flights]
         agree = [sum(not why for why in row) for row in table]
         best = int(np.argmax(agree))
         if agree.count(agree[best]) > agree[best]:  # as many flights of another build

@@ -55,11 +55,7 @@ def _assumptions(kept: Sequence[Candidate]) -> list[str]:
         f"{which} healthy and of the same build, payload and battery type.",
         "The hover command is the mean of these flights, at their battery voltages.",
     ]
-    sentences += [
-        f"{each.name} does not hover: only its airframe is used."
-        for each in kept
-        if aerobatic.applies(each.flight, each.table)
-    ]
+    sentences += [f"{each.name} does not hover: only its airframe is used." for each in kept if aerobatic.applies(each.flight, each.table)]
     short = (t.name or "A calibration flight" for t in tables if not t.usable)
     sentences += [f"{name} has too little steady hover for a comparison." for name in short]
     if sum(t.usable for t in tables) < whole_flight.MANY_FLIGHTS:

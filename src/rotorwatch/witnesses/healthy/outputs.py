@@ -56,23 +56,15 @@ LOST, LACKS, SINKS_S, SANK_M = 0.5, 0.05, 1.0, 2.0  # shares of a rotor's thrust
 USUAL_S = 10.0  # before a loss: the thrust of hover
 
 
-def claims(
-    flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, until: float, events: Sequence[Event]
-) -> tuple[Event, ...]:
+def claims(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, until: float, events: Sequence[Event]) -> tuple[Event, ...]:
     """The claims of the flights `air` ((start, end), ...) s, up to `until` s. table: its ticks; events: those of the rotors."""
-    calm = tuple(
-        (a, min(b, until + BEFORE_LANDING_S)) for a, b in air if min(b - BEFORE_LANDING_S, until) > a + AFTER_TAKE_OFF_S
-    )
+    calm = tuple((a, min(b, until + BEFORE_LANDING_S)) for a, b in air if min(b - BEFORE_LANDING_S, until) > a + AFTER_TAKE_OFF_S)
     if not flight.has("motors"):
         return ()
     events_ = []
     if calm:
         hover = whole_flight.steady(flight, vehicle, calm)
-        events_ += [
-            *at_limit(flight, vehicle, calm),
-            *heavy(flight, vehicle, hover),
-            *unequal(flight, vehicle, calm, hover),
-        ]
+        events_ += [*at_limit(flight, vehicle, calm), *heavy(flight, vehicle, hover), *unequal(flight, vehicle, calm, hover)]
     return (*events_, *exhausted(flight, vehicle, table, air, events))
 
 
@@ -208,9 +200,7 @@ def _drive(expo: float, thrust: float) -> float:
     return float(allocation.drive(expo, np.array(max(thrust, 0.0))))
 
 
-def _twisted(
-    flight: Flight, vehicle: Vehicle, share: np.ndarray, halves: Sequence[np.ndarray], air: Spans, start: float
-) -> list[Event]:
+def _twisted(flight: Flight, vehicle: Vehicle, share: np.ndarray, halves: Sequence[np.ndarray], air: Spans, start: float) -> list[Event]:
     """share (n,): of full thrust in hover; halves: the same in each half of the flight."""
     spin, lower = (np.array([getattr(r, name) for r in vehicle.rotors], float) for name in ("spin", "lower"))
     if not (spin > 0).any() or not (spin < 0).any() or abs(spin @ lower) > 0.0:

@@ -159,19 +159,14 @@ class WholeFlight(NamedTuple):
     def to_dict(self) -> dict:
         """Plain data, as it goes into the JSON answer."""
         causes = [cause._asdict() for cause in self.causes]
-        return {k: _plain(v) for k, v in {**self._asdict(), "causes": causes}.items()} | {
-            "false_alarm_rate": FALSE_ALARM
-        }
+        return {k: _plain(v) for k, v in {**self._asdict(), "causes": causes}.items()} | {"false_alarm_rate": FALSE_ALARM}
 
 
 # One flight
 
 
 def features(
-    flight: Flight,
-    vehicle: Vehicle,
-    airborne: Sequence[tuple[float, float]],
-    hover: tuple[np.ndarray, np.ndarray] | None = None,
+    flight: Flight, vehicle: Vehicle, airborne: Sequence[tuple[float, float]], hover: tuple[np.ndarray, np.ndarray] | None = None
 ) -> Features:
     """The hover of this flight. airborne: ((start, end), ...) s; hover: its `steady`, where known. With too little steady flight it is not
     `usable`. Raises VehicleError when the vehicle has another number of rotors than the log."""
@@ -245,9 +240,7 @@ def _inside(time: np.ndarray, starts: np.ndarray) -> np.ndarray:
     return (at >= 0) & (time < starts[np.maximum(at, 0)] + BLOCK_S)
 
 
-def _block_means(
-    signal: Signal | None, starts: np.ndarray, columns: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def _block_means(signal: Signal | None, starts: np.ndarray, columns: int | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(k, c) means over the blocks and (k,) whether there was a sample. columns: only the first ones."""
     if signal is None or not len(signal):
         return np.zeros((len(starts), columns or 1)), np.zeros(len(starts), bool)
@@ -292,10 +285,7 @@ def of_wind(force: Any, slope: Any) -> np.ndarray:
 def _wind_fit(w: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Intercept (3,), slopes and their sd (2,) of w (k, 3) on the crosswise force; robust, with the prior SLOPE_SD."""
     intercept = huber.mean(w)
-    x, y = (
-        force[:, ::-1] - force[:, ::-1].mean(axis=0),
-        w[:, :2],
-    )  # roll by the force to the right, pitch by that forward
+    x, y = (force[:, ::-1] - force[:, ::-1].mean(axis=0), w[:, :2])  # roll by the force to the right, pitch by that forward
     level, slope, sd = median(y, axis=0), np.zeros(2), np.full(2, SLOPE_SD)
     for _ in range(huber.ROUNDS):
         weight, scale = huber.weights(y - level - slope * x, 1e-6)
@@ -332,9 +322,7 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     rotors differ."""
     n = len(vehicle.rotors)
     if not baseline:
-        raise ConfigError(
-            "Damage present at take-off can only be assessed against healthy flights; give some with --baseline."
-        )
+        raise ConfigError("Damage present at take-off can only be assessed against healthy flights; give some with --baseline.")
     if any(len(one.share) != n for one in (flight, *baseline)):
         raise ConfigError("The baseline flights are not of this airframe: their number of rotors differs.")
     healthy = [one for one in baseline if one.usable]
@@ -427,9 +415,7 @@ def _explain(causes, suspects, sure, p_mean, p_change, p_value, flight, loss, he
 
 
 def _undecided(n: int, reason: str, flights: int) -> WholeFlight:
-    return WholeFlight(
-        "inconclusive", reason, (), (0.0,) * n, ((0.0, 1.0),) * n, (), 1.0, (0.0,) * 3, (0.0,) * 3, 0.0, flights
-    )
+    return WholeFlight("inconclusive", reason, (), (0.0,) * n, ((0.0, 1.0),) * n, (), 1.0, (0.0,) * 3, (0.0,) * 3, 0.0, flights)
 
 
 def prior_covariance(n: int) -> np.ndarray:
@@ -500,9 +486,7 @@ def _weigh(shift, covariance, dof, share, vehicle) -> list[_Hypothesis]:
             mass *= student.density((shift[:, None] - moved).T, covariance, dof, (0.0, 0.0, yaw, 0.0)) / mass.sum()
             weight = float(mass.sum())
             one_based = tuple(r + 1 for r in rotors)
-            hypotheses.append(
-                _Hypothesis("rotors", one_based, prior / len(sets) * weight, theta.T, mass / max(weight, 1e-300))
-            )
+            hypotheses.append(_Hypothesis("rotors", one_based, prior / len(sets) * weight, theta.T, mass / max(weight, 1e-300)))
     where, distance, mass = student.centred_grid(SHIFT_SD, 4.0)
     rest = shift - np.pad(where, ((0, 0), (0, 2)))
     extra_variance = (0.0, 0.0, np.square(CENTRE_RHO_SD * distance), np.square(WEIGHT_SD * distance))

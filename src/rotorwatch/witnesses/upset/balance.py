@@ -129,8 +129,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     turn = window.rate_dot + spin
     mean = np.concatenate([(n * INERTIA)[:, None], np.zeros((3, 1)), offset.mean[:, None]], axis=1)
     sides = [
-        np.concatenate([(n * side)[:, None], (n * DAMPING_SD)[:, None], offset.sd[:, None]], axis=1)
-        for side in (LIGHTER_SD, HEAVIER_SD)
+        np.concatenate([(n * side)[:, None], (n * DAMPING_SD)[:, None], offset.sd[:, None]], axis=1) for side in (LIGHTER_SD, HEAVIER_SD)
     ]
     low = np.concatenate([(n * LEAST)[:, None], np.zeros((3, 1)), np.full((3, 1), -np.inf)], axis=1)
     # Axes first: the sums over all ticks are then matrix products.
@@ -150,9 +149,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
         for j in range(3):
             sd = np.where(p[:, :, j] < mean[:, None, j], sides[0][:, None, j], sides[1][:, None, j])
             below = information[:, :, j, j]
-            top = (
-                score[:, :, j] - (information[:, :, j] * p).sum(axis=2) + below * p[:, :, j] + mean[:, None, j] / sd**2
-            )
+            top = score[:, :, j] - (information[:, :, j] * p).sum(axis=2) + below * p[:, :, j] + mean[:, None, j] / sd**2
             p[:, :, j] = np.maximum(top / (below + 1.0 / sd**2), low[:, None, j])
         e = y - p @ each.transpose(0, 2, 1)
         variance = usual + p[:, :, :2] ** 2 @ squares
@@ -167,9 +164,7 @@ def fit(window: Window, wrench: np.ndarray, B: np.ndarray, offset: Offset) -> Fi
     total -= 0.5 * ((away / np.where(away < 0.0, *(side[:, None] for side in sides))) ** 2).sum(axis=(0, 2))
     push = wrench[:, :, 3] - n * (window.load - air)[None]
     spread = np.broadcast_to(base[None, :, 3], (H, K))
-    lift = np.logaddexp(
-        np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2)
-    )
+    lift = np.logaddexp(np.log(1.0 - OUTLIERS) + _normal(push, spread), np.log(OUTLIERS) + _normal(push, (n * OUTLIER_SD) ** 2))
     total += weight_of * np.where(window.load_ok[None], lift, 0.0).sum(axis=1)
     torques = (e / np.sqrt(variance)).transpose(1, 2, 0)
     residual = np.concatenate([torques, (push / np.sqrt(spread))[:, :, None]], axis=2)

@@ -71,9 +71,7 @@ class Judged(NamedTuple):
         return self.left.ground is not None and self.left.ground - self.onset > HIT_S
 
 
-def judged(
-    flight: Flight, vehicle: Vehicle, air, progress: Callable[[float], object] | None = None
-) -> tuple[Judged, ...]:
+def judged(flight: Flight, vehicle: Vehicle, air, progress: Callable[[float], object] | None = None) -> tuple[Judged, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air. progress: called with the finished
     share, 0..1."""
     verdicts = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
@@ -98,17 +96,12 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
     window, offset, onsets, at_take_off, ground = got
-    found, probability = explain(
-        window, vehicle.effectiveness(), offset, onsets, at_take_off, battery.sagged(flight, left.onset)
-    )
+    found, probability = explain(window, vehicle.effectiveness(), offset, onsets, at_take_off, battery.sagged(flight, left.onset))
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
-        cause, evidence = (
-            "unknown",
-            ("its rotor commands had been out of balance since take-off, compared with healthy vehicles",),
-        )
+        cause, evidence = ("unknown", ("its rotor commands had been out of balance since take-off, compared with healthy vehicles",))
     if left.impact is None and ground is not None:
         left = left._replace(impact=ground, ground=ground if left.end is None else None)
     return Judged(left, cause, found, probability, window, onset, evidence)
@@ -119,9 +112,7 @@ def _cause(
 ) -> tuple[str, tuple[str, ...]]:
     """The cause of a loss of control, and the sentences of evidence for it."""
     if left.falls:
-        disarmed = any(
-            m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages
-        )
+        disarmed = any(m.kind == "armed" and not m.value and abs(m.time - left.onset) < DISARMED_S for m in flight.messages)
         near = (m.text for m in flight.messages if abs(m.time - left.onset) < DISARMED_S)
         by = next((text.partition(": ")[2] for text in near if text.startswith("disarmed: ")), "")
         says = f", and the autopilot says disarmed{f' ({by})' if by else ''}" if disarmed else ""
@@ -149,9 +140,7 @@ def _cause(
         return "saturated", ("outputs had been at their limits before control was lost",)
     flying = window.time < (np.inf if left.impact is None else left.impact)
     torque = next(e for e in found if e.kind == "healthy").residual[flying, :3]
-    turned = (
-        left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
-    )
+    turned = left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
     # Air may have taken the thrust, too: without that explanation, the torques must not implicate a rotor either.
     nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
     if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
@@ -208,9 +197,7 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
 
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
     """`loss_of_control.until_impact` for losses of control whose onset is known."""
-    return loss_of_control.until_impact(
-        flight, air, tuple(j.left._replace(onset=min(j.onset, j.left.onset)) for j in found)
-    )
+    return loss_of_control.until_impact(flight, air, tuple(j.left._replace(onset=min(j.onset, j.left.onset)) for j in found))
 
 
 def window_of(
@@ -246,9 +233,7 @@ def window_of(
             break
     ground, last = (stopped if stopped < last else None), min(last, stopped)
     first = max(first, began, left.onset - MOST_TICKS * how.dt / 3.0)
-    inside = np.flatnonzero(
-        (seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some
-    )[:MOST_TICKS]
+    inside = np.flatnonzero((seen.time >= first) & (seen.time <= last + (how.lag_s if ground is None else 0.0)) & seen.some)[:MOST_TICKS]
     commanded = np.flatnonzero(seen.share[inside].max(axis=1, initial=0.0) > loss_of_control.REST)
     if commanded.size and not left.falls:  # with its motors stopped, the vehicle's motion shows nothing
         inside = inside[: commanded[-1] + 2]
@@ -260,17 +245,9 @@ def window_of(
         seen.rate_ok[inside, None] & ~_pinned(seen.rate[inside], seen.rate_dot[inside]), seen.load_ok[inside],
         T[np.maximum(inside - 1, 0)], T[np.minimum(inside + 1, len(seen) - 1)], left.onset,
     )  # fmt: skip
-    causes = np.flatnonzero(
-        (window.time >= left.onset - EARLIER_S) & (window.time <= max(left.onset + LATER_S, left.lost - SHOWS_S))
-    )
+    causes = np.flatnonzero((window.time >= left.onset - EARLIER_S) & (window.time <= max(left.onset + LATER_S, left.lost - SHOWS_S)))
     onsets = np.union1d([0], causes) if at_take_off or not causes.size else causes
-    return (
-        window,
-        _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, at_take_off),
-        onsets,
-        at_take_off,
-        ground,
-    )
+    return (window, _offset(window, vehicle.effectiveness(), left.onset - EARLIER_S, at_take_off), onsets, at_take_off, ground)
 
 
 def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
@@ -288,14 +265,7 @@ def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take
         return known
     mean = seen.share.mean(axis=1)
     load = np.where(seen.load_ok, seen.load, 1.0)
-    carried = (
-        seen.some
-        & (mean > 0.02)
-        & (np.abs(seen.rate).max(axis=1) < 1.0)
-        & (load > 0.7)
-        & (load < 1.6)
-        & (seen.time < until)
-    )
+    carried = seen.some & (mean > 0.02) & (np.abs(seen.rate).max(axis=1) < 1.0) & (load > 0.7) & (load < 1.6) & (seen.time < until)
     if not at_take_off and carried.any():
         return float(np.clip(median(mean[carried] / load[carried]), 0.05, 1.0))
     learned = [flight.parameters[name] for name in HOVER_PARAMETERS if 0.05 < flight.parameters.get(name, 0.0) < 0.8]

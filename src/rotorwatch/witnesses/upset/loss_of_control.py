@@ -137,9 +137,7 @@ def _angle(wanted: Signal, time: np.ndarray, q: np.ndarray, progress: Progress =
     return _blockwise(lambda when, own: _nearest(at, asked, when, own, headings), time, q, progress=tell)
 
 
-def _blockwise(
-    work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray, progress: Progress = None
-) -> np.ndarray:
+def _blockwise(work: Callable[..., np.ndarray], time: np.ndarray, *rows: np.ndarray, progress: Progress = None) -> np.ndarray:
     """work(time, *rows), in blocks of BLOCK times. progress: called with the finished share, 0..1."""
     parts = []
     for start in range(0, time.size, BLOCK):
@@ -150,9 +148,7 @@ def _blockwise(
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
-def _nearest(
-    at: np.ndarray, asked: np.ndarray, time: np.ndarray, q: np.ndarray, headings: np.ndarray | None = None
-) -> np.ndarray:
+def _nearest(at: np.ndarray, asked: np.ndarray, time: np.ndarray, q: np.ndarray, headings: np.ndarray | None = None) -> np.ndarray:
     least, fresh = np.full(time.size, -1.0), _held(at, asked, time)[1] <= FRESH_S
     turns = None if headings is None else _turns(at, headings, time, q)
     axis, level = thrust_axis(q), thrust_axis(without_heading(q))
@@ -274,9 +270,7 @@ def stops(flight: Flight, blow: float, start: float) -> bool:
         return True
     if None in above:
         return bool((spread < RESTS_RAD_S).any())
-    then, soon, later = (
-        max(m or 0.0, 0.0) for m in above
-    )  # after an impact the estimated height may be below the ground
+    then, soon, later = (max(m or 0.0, 0.0) for m in above)  # after an impact the estimated height may be below the ground
     if max(then - soon, soon - later) > FALLS_ON_M:
         return False
     return soon < LOW_M and (later < LOW_M or bool((spread < RESTS_RAD_S).any()) or load(flight, blow) > STRIKES_G)
@@ -297,9 +291,7 @@ def _spreads(time: np.ndarray, rates: np.ndarray) -> np.ndarray:
     return np.array([np.ptp(x, axis=0).max() if fine else np.inf for x, fine in zip(parts, known)])
 
 
-def _from_the_ground(
-    powered: list[tuple[float, float]], time: np.ndarray, angle: np.ndarray, air
-) -> tuple[tuple[float, float], ...]:
+def _from_the_ground(powered: list[tuple[float, float]], time: np.ndarray, angle: np.ndarray, air) -> tuple[tuple[float, float], ...]:
     """`air`, from the first command to the motors if the vehicle departed before it counted as in the air."""
     if not air:
         return ()
@@ -333,12 +325,7 @@ def _turns_over(flight: Flight, powered: list[tuple[float, float]], start: float
         return None
     k = int(over[0])
     return LossOfControl(
-        _began(t, tilt, k),
-        float(min(t[k] + LASTS_S, t[-1])),
-        None,
-        None,
-        "turned over on the ground",
-        landed=end - start > SHORT_S,
+        _began(t, tilt, k), float(min(t[k] + LASTS_S, t[-1])), None, None, "turned over on the ground", landed=end - start > SHORT_S
     )
 
 
@@ -363,9 +350,7 @@ def _departs(flight, time, angle, words, start, end) -> LossOfControl | None:
             return None
         until = t[-1] if soon is None else soon
         over = (a[k:] > TUMBLED_DEG) & (t[k:] <= until)
-        if not (over[1:] & over[:-1]).any() and lasts < (
-            LOST_S if impact is None or impact - onset <= HIT_S else LASTS_S
-        ):
+        if not (over[1:] & over[:-1]).any() and lasts < (LOST_S if impact is None or impact - onset <= HIT_S else LASTS_S):
             continue
         certain = np.flatnonzero(out[k:] & (t[k:] - t[k] >= LASTS_S))
         lost = float(t[k + certain[0]]) if certain.size else float(min(t[k] + LASTS_S, t[-1]))
@@ -515,9 +500,7 @@ def until_impact(flight: Flight, air, left: tuple[LossOfControl, ...]) -> tuple[
     `GONE_S`: outputs and motion after that are no evidence on its rotors."""
     cut = []
     for start, end in air:
-        ends = [
-            d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S
-        ]
+        ends = [d.impact for d in left if d.impact is not None and start <= d.onset <= end and d.impact - d.onset > HIT_S]
         ends += [d.lost + GONE_S for d in left if d.impact is None and d.end is None and start <= d.onset <= end]
         down = _struck_ground(flight, start, end)
         ends += [down] if down is not None else []

@@ -134,10 +134,7 @@ class Emitter:
     def _write(self, shape, groups: list[list[int]], target: Leaf, tree, assign: str = "="):
         """Emit loops that write the tree's elements to the target's."""
         self._nest(
-            list(shape),
-            groups,
-            [tree, target],
-            lambda names: self.line(f"{self.text(target, names)} {assign} {self.text(tree, names)};"),
+            list(shape), groups, [tree, target], lambda names: self.line(f"{self.text(target, names)} {assign} {self.text(tree, names)};")
         )
 
     def _store(self, x: Node, place: Place, axes_of_target: tuple[int, tuple[int, ...]] | None = None, assign="="):
@@ -215,9 +212,7 @@ class Emitter:
         width = len(update.shape)
         tree = self.tree(update, identity(update.shape), width)
         # The start is the same for all elements: nothing of it depends on a loop.
-        extra = tuple(
-            (self.tree(s, (), width), most, step) for s, most, step in zip(starts, node.data, steps) if most > 0
-        )
+        extra = tuple((self.tree(s, (), width), most, step) for s, most, step in zip(starts, node.data, steps) if most > 0)
         self._write(update.shape, [list(range(width))], Leaf(place, 0, steps, extra), tree)
 
     def _scatter(self, node: Node):
@@ -421,10 +416,7 @@ class Emitter:
         small = table.size == 0 or (table.max() < 2**15)
         if text not in self.lists:
             name = f"p{len(self.lists)}"
-            self.lists[text] = (
-                name,
-                f"static const int{16 if small else 32}_t {name}[{max(table.size, 1)}] = {{{text}}};",
-            )
+            self.lists[text] = (name, f"static const int{16 if small else 32}_t {name}[{max(table.size, 1)}] = {{{text}}};")
         return self.lists[text][0]
 
 
@@ -461,13 +453,7 @@ def literal(number, kind: str) -> str:
             return "INT32_MIN"
         if number == -(2**63):
             return "INT64_MIN"
-        return (
-            str(int(number))
-            if kind == "i"
-            else f"INT64_C({int(number)})"
-            if number >= 0
-            else f"(-INT64_C({-int(number)}))"
-        )
+        return str(int(number)) if kind == "i" else f"INT64_C({int(number)})" if number >= 0 else f"(-INT64_C({-int(number)}))"
     number = float(number)
     if math.isnan(number):
         return "(real)NAN"

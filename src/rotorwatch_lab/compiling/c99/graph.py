@@ -212,8 +212,7 @@ class Graph:
             if piece is not None:
                 return piece
         if shape == x.shape and all(
-            axis.start == 0 and all(m == int(i == j) or shape[j] == 1 for j, m in enumerate(axis.steps))
-            for i, axis in enumerate(axes)
+            axis.start == 0 and all(m == int(i == j) or shape[j] == 1 for j, m in enumerate(axis.steps)) for i, axis in enumerate(axes)
         ):
             return x
         if x.op == "const" and math.prod(shape) <= x.size > 1:
@@ -265,11 +264,7 @@ class Graph:
             one, other = x.args[0], x.args[-1]
             if x.op in ("add", "mul") and other.op == "view" and other == self._turned(one):
                 symmetric = True
-            elif (
-                x.op == "select"
-                and (mask := value(one)) is not None
-                and not (mask & ~np.eye(len(mask), dtype=bool)).any()
-            ):
+            elif x.op == "select" and (mask := value(one)) is not None and not (mask & ~np.eye(len(mask), dtype=bool)).any():
                 symmetric = self.symmetric(x.args[1])  # only the diagonal comes from elsewhere
             else:
                 symmetric = all(self.symmetric(a) for a in x.args)
@@ -314,13 +309,7 @@ class Graph:
         if known is not None and math.prod(shape) <= MOST_FOLDED:
             return self.const(np.concatenate(known, axis=dimension))
         order = _common_order(parts)
-        if (
-            order is None
-            and dimension == 1
-            and len(shape) == 2
-            and shape[0] >= MANY
-            and all(p.shape[1] == 1 for p in parts)
-        ):
+        if order is None and dimension == 1 and len(shape) == 2 and shape[0] >= MANY and all(p.shape[1] == 1 for p in parts):
             order = (1, 0)  # columns of a batch, each kept together
         if order is not None:
             turned = self.concat([self.transposed(p, order) for p in parts], order.index(dimension))
@@ -363,10 +352,7 @@ def _joined(graph: Graph, parts: list[Node], dimension: int) -> list[Node]:
         previous = out[-1] if out else None
         if previous is not None and previous.op == part.op == "view" and previous.args == part.args:
             n = previous.shape[dimension]
-            follows = all(
-                a.steps == b.steps and b.start - a.start == n * a.steps[dimension]
-                for a, b in zip(previous.data, part.data)
-            )
+            follows = all(a.steps == b.steps and b.start - a.start == n * a.steps[dimension] for a, b in zip(previous.data, part.data))
             if follows and any(a.steps[dimension] for a in previous.data):
                 size = n + part.shape[dimension]
                 shape = tuple(size if k == dimension else m for k, m in enumerate(previous.shape))

@@ -23,9 +23,7 @@ def _windows(shape, dropped) -> list[int]:
     return [d for d in range(len(shape)) if d not in dropped]
 
 
-def _positions(
-    shape, index: np.ndarray, result, along: dict[int, int], sizes: dict[int, int], starts, batched, clip: bool
-) -> np.ndarray:
+def _positions(shape, index: np.ndarray, result, along: dict[int, int], sizes: dict[int, int], starts, batched, clip: bool) -> np.ndarray:
     """(result) positions in an operand of `shape`; windows that reach outside are -1 as a whole.
 
     along: axis of the result -> of the operand, inside a window; sizes: of a window along the operand's axes, else 1; starts: operand's
@@ -51,9 +49,7 @@ def gathered(shape, index: np.ndarray, params, out_shape) -> np.ndarray:
     along = zip(dims.offset_dims, _windows(shape, (*dims.collapsed_slice_dims, *dims.operand_batching_dims)))
     batched = zip(dims.operand_batching_dims, dims.start_indices_batching_dims)
     sizes = dict(enumerate(params["slice_sizes"]))
-    return _positions(
-        shape, index, out_shape, dict(along), sizes, dims.start_index_map, batched, "CLIP" in str(params["mode"])
-    )
+    return _positions(shape, index, out_shape, dict(along), sizes, dims.start_index_map, batched, "CLIP" in str(params["mode"]))
 
 
 def run_time_gather(graph: Graph, shape, index: Node, params, out_shape):
@@ -83,16 +79,7 @@ def scattered(shape, index: np.ndarray, params, updates_shape) -> np.ndarray:
     along = dict(zip(dims.update_window_dims, windows))
     sizes = {d: updates_shape[u] for u, d in along.items()}
     batched = zip(dims.operand_batching_dims, dims.scatter_indices_batching_dims)
-    return _positions(
-        shape,
-        index,
-        updates_shape,
-        along,
-        sizes,
-        dims.scatter_dims_to_operand_dims,
-        batched,
-        "CLIP" in str(params["mode"]),
-    )
+    return _positions(shape, index, updates_shape, along, sizes, dims.scatter_dims_to_operand_dims, batched, "CLIP" in str(params["mode"]))
 
 
 def regular(table: np.ndarray) -> tuple[int, tuple[int, ...]] | None:

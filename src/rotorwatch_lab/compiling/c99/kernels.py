@@ -33,10 +33,7 @@ class Product(NamedTuple):
         batch = [(shape_a[k], out[k], steps_a[k], steps_b[k]) for k in range(n_batch)]
         rows = [(shape_a[k], out[k], steps_a[k], 0) for k in range(n_batch, n_batch + free_a)]
         inner = [(shape_b[n_batch + k], 0, steps_a[n_batch + free_a + k], steps_b[n_batch + k]) for k in range(n_inner)]
-        columns = [
-            (shape_b[n_batch + n_inner + k], out[n_batch + free_a + k], 0, steps_b[n_batch + n_inner + k])
-            for k in range(free_b)
-        ]
+        columns = [(shape_b[n_batch + n_inner + k], out[n_batch + free_a + k], 0, steps_b[n_batch + n_inner + k]) for k in range(free_b)]
         return cls(*(_merged(group) for group in (batch, rows, inner, columns)))
 
     def swapped(self) -> Product:
@@ -110,9 +107,7 @@ class _ProductText(_Text):
         super().__init__(f"static void @({kind} *restrict out, const {kind} *a, const {kind} *b)")
         self.kind, self.a, self.b, self.inner = kind, a, b, [axis[0] for axis in p.inner]
         self.rows, self.columns = (group[-1] if group else (1, 0, 0, 0) for group in (p.rows, p.columns))
-        axes = [
-            (letter, axis) for letter, group in zip("brc", (p.batch, p.rows[:-1], p.columns[:-1])) for axis in group
-        ]
+        axes = [(letter, axis) for letter, group in zip("brc", (p.batch, p.rows[:-1], p.columns[:-1])) for axis in group]
         outer = [(f"{letter}{k}", axis) for k, (letter, axis) in enumerate(axes)]
         self.to, self.of_a, self.of_b = ([(axis[k], name) for name, axis in outer] for k in (1, 2, 3))
         self.inner_a, self.inner_b = ([(axis[k], f"k{j}") for j, axis in enumerate(p.inner)] for k in (2, 3))
@@ -164,8 +159,7 @@ class _ProductText(_Text):
         wide, long = J > 1, J > WIDE
         column = ["j"] if wide else []
         goals = [
-            _at((fixed + r) * row_out, *self.to, *((row_out, i) for i in looped), *((column_out, j) for j in column))
-            for r in range(count)
+            _at((fixed + r) * row_out, *self.to, *((row_out, i) for i in looped), *((column_out, j) for j in column)) for r in range(count)
         ]
         goals = [f"out[{goal}]" for goal in goals]
         sums = goals if long else [f"s{r}{'[j]' if wide else ''}" for r in range(count)]

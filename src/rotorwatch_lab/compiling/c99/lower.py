@@ -27,9 +27,7 @@ ADVICE = {
     "sort": "use max, argmax or comparisons of all pairs",
     "top_k": "use max and argmax",
     "scatter": "use where with a mask, or dynamic_update_slice, when the index is known at run time only",
-    **dict.fromkeys(
-        ("lu", "qr", "householder_product", "geqrf", "eigh", "eig", "svd", "schur", "hessenberg"), _FACTORS
-    ),
+    **dict.fromkeys(("lu", "qr", "householder_product", "geqrf", "eigh", "eig", "svd", "schur", "hessenberg"), _FACTORS),
     **dict.fromkeys(("pure_callback", "io_callback", "debug_callback"), "leave Python out of a step"),
     **dict.fromkeys(("fft", "conv_general_dilated"), "write it as a product with a constant matrix"),
     **dict.fromkeys(("random_bits", "threefry2x32", "random_wrap"), "draw random numbers outside a step"),
@@ -111,9 +109,7 @@ def _equation(graph: Graph, name: str, x: list[Node], params, outvars):
     name = RENAMED.get(name, name)
     if name in ELEMENTWISE and (x[0].kind in ELEMENTWISE[name].c):
         return graph.elementwise(name, *x, kind="b" if name in COMPARISONS else x[0].kind)
-    raise _refusal(
-        graph, name, ADVICE.get(name, "it has no counterpart there: write it with arithmetic, where, @ or cholesky")
-    )
+    raise _refusal(graph, name, ADVICE.get(name, "it has no counterpart there: write it with arithmetic, where, @ or cholesky"))
 
 
 # Element by element.
@@ -202,9 +198,7 @@ def _pad(graph, x, params, outvars):
     stop = [n - max(0, -high) for n, (_, high, _) in zip(body.shape, config)]
     body = graph.sliced(body, start, stop)
     for axis, (low, high, _) in enumerate(config):
-        blocks = [
-            graph.broadcast(filling, (*body.shape[:axis], max(0, n), *body.shape[axis + 1 :]), ()) for n in (low, high)
-        ]
+        blocks = [graph.broadcast(filling, (*body.shape[:axis], max(0, n), *body.shape[axis + 1 :]), ()) for n in (low, high)]
         body = graph.concat([blocks[0], body, blocks[1]], axis)
     return body
 
@@ -230,21 +224,15 @@ def _gather(graph, x, params, outvars):
         fixed = value(operand)
         if fixed is not None:
             taken = fixed.reshape(-1)[np.maximum(table, 0)]
-            return graph.const(
-                np.where(table < 0, indices.filling(operand.kind, params), taken).astype(NUMPY[operand.kind])
-            )
+            return graph.const(np.where(table < 0, indices.filling(operand.kind, params), taken).astype(NUMPY[operand.kind]))
         axes = indices.affine(table, operand.shape)
         if axes is not None:
             return graph.view(operand, shape, axes)
         fill = None if table.min(initial=0) >= 0 else indices.filling(operand.kind, params)
-        return graph.make(
-            "take", (graph.stored(operand),), shape, operand.kind, (table, fill), key=(table.tobytes(), str(fill))
-        )
+        return graph.make("take", (graph.stored(operand),), shape, operand.kind, (table, fill), key=(table.tobytes(), str(fill)))
     axes, parts, dims, most = indices.run_time_gather(graph, operand.shape, index, params, shape)
     fill = indices.filling(operand.kind, params) if "FILL" in str(params["mode"]) else None
-    return graph.make(
-        "pick", (operand, *parts), shape, operand.kind, (axes, dims, most, fill), key=(axes, dims, most, str(fill))
-    )
+    return graph.make("pick", (operand, *parts), shape, operand.kind, (axes, dims, most, fill), key=(axes, dims, most, str(fill)))
 
 
 def _dynamic_slice(graph, x, params, outvars):
@@ -261,9 +249,7 @@ def _dynamic_slice(graph, x, params, outvars):
     axes = tuple(indices.Axis(*a) for a in axes)
     if not free:
         return graph.view(operand, sizes, axes)
-    return graph.make(
-        "pick", (operand, *starts), sizes, operand.kind, (axes, tuple(free), tuple(most[d] for d in free), None)
-    )
+    return graph.make("pick", (operand, *starts), sizes, operand.kind, (axes, tuple(free), tuple(most[d] for d in free), None))
 
 
 def _dynamic_update_slice(graph, x, params, outvars):
@@ -295,9 +281,7 @@ def _scattered(graph, operand, updates, table, how):
         return graph.const(out.reshape(operand.shape))
     if indices.regular(table) is None:  # read by a table: one after the other
         updates = graph.stored(updates)
-    return graph.make(
-        "scatter", (operand, updates), operand.shape, operand.kind, (table, how), key=(table.tobytes(), how)
-    )
+    return graph.make("scatter", (operand, updates), operand.shape, operand.kind, (table, how), key=(table.tobytes(), how))
 
 
 # Many to one.
@@ -324,9 +308,7 @@ def _reduction(name: str):
 
 def _cumulative(name: str):
     def accumulate(graph, x, params, outvars):
-        return graph.make(
-            "cumulative", (x[0],), x[0].shape, x[0].kind, (name, int(params["axis"]), bool(params["reverse"]))
-        )
+        return graph.make("cumulative", (x[0],), x[0].shape, x[0].kind, (name, int(params["axis"]), bool(params["reverse"])))
 
     return accumulate
 
@@ -404,21 +386,11 @@ def _scan(graph, x, params, outvars):
     region = Region(_deepest(x))
     carry = tuple(graph.param(a.shape, a.kind, ("carry", k), region) for k, a in enumerate(inits))
     xs = [a if uniform(a) is not None else graph.stored(a) for a in xs]
-    each = [
-        graph.param(a.shape[1:], a.kind, ("slice", a), region) if uniform(a) is None else _first(graph, a) for a in xs
-    ]
+    each = [graph.param(a.shape[1:], a.kind, ("slice", a), region) if uniform(a) is None else _first(graph, a) for a in xs]
     slices = tuple(p for p in each if p.op == "param" and p.region is region)
     out = lower(graph, body.jaxpr, body.consts, [*consts, *carry, *each])
     out[:n_carry] = [_held_state(graph, new, old, region) for new, old in zip(out, carry)]
-    loop = Loop(
-        region,
-        int(params["length"]),
-        bool(params["reverse"]),
-        carry,
-        slices,
-        tuple(out[:n_carry]),
-        tuple(out[n_carry:]),
-    )
+    loop = Loop(region, int(params["length"]), bool(params["reverse"]), carry, slices, tuple(out[:n_carry]), tuple(out[n_carry:]))
     args = (*inits, *xs, *_free(out, [region]))
     node = graph.make("scan", args, (), "n", loop, key=False)
     return [graph.make("result", (node,), v.aval.shape, kind(v.aval.dtype), k) for k, v in enumerate(outvars)]

@@ -90,22 +90,14 @@ ELEMENTWISE: dict[str, Operation] = {
     "mul": Operation(np.multiply, _wrapping("*") | {"b": "({0} && {1})"}),
     "div": Operation(_divide, {"f": "({0} / {1})", "i": "i_div({0}, {1})", "l": "(int64_t)l_div({0}, {1})"}),
     "rem": Operation(_remainder, {"f": "r_fmod({0}, {1})", "i": "i_rem({0}, {1})", "l": "(int64_t)l_rem({0}, {1})"}),
-    "neg": Operation(
-        np.negative,
-        {"f": "(-{0})", "i": "(int32_t)(0u - (uint32_t){0})", "l": "(int64_t)((uint64_t)0 - (uint64_t){0})"},
-    ),
+    "neg": Operation(np.negative, {"f": "(-{0})", "i": "(int32_t)(0u - (uint32_t){0})", "l": "(int64_t)((uint64_t)0 - (uint64_t){0})"}),
     "abs": Operation(np.abs, {"f": "r_fabs({0})", "i": "i_abs({0})", "l": "l_abs({0})"}),
-    "sign": Operation(
-        np.sign,
-        {"f": "r_sign({0})", "i": "(int32_t)(({0} > 0) - ({0} < 0))", "l": "(int64_t)(({0} > 0) - ({0} < 0))"},
-    ),
+    "sign": Operation(np.sign, {"f": "r_sign({0})", "i": "(int32_t)(({0} > 0) - ({0} < 0))", "l": "(int64_t)(({0} > 0) - ({0} < 0))"}),
     "max": Operation(
-        np.maximum,
-        {"f": "r_max({0}, {1})", "b": "({0} || {1})", "i": "({0} > {1} ? {0} : {1})", "l": "({0} > {1} ? {0} : {1})"},
+        np.maximum, {"f": "r_max({0}, {1})", "b": "({0} || {1})", "i": "({0} > {1} ? {0} : {1})", "l": "({0} > {1} ? {0} : {1})"}
     ),
     "min": Operation(
-        np.minimum,
-        {"f": "r_min({0}, {1})", "b": "({0} && {1})", "i": "({0} < {1} ? {0} : {1})", "l": "({0} < {1} ? {0} : {1})"},
+        np.minimum, {"f": "r_min({0}, {1})", "b": "({0} && {1})", "i": "({0} < {1} ? {0} : {1})", "l": "({0} < {1} ? {0} : {1})"}
     ),
     "and": Operation(lambda a, b: a & b, _logic("&&", "&")),
     "or": Operation(lambda a, b: a | b, _logic("||", "|")),

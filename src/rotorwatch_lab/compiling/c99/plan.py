@@ -145,9 +145,7 @@ class Plan:
         out, todo = [], [x]
         while todo:
             node = todo.pop()
-            if node.op in ("view", "alias") or (
-                node.op in (*ELEMENTWISE, "dot", "concat") and node.index not in self.stored
-            ):
+            if node.op in ("view", "alias") or (node.op in (*ELEMENTWISE, "dot", "concat") and node.index not in self.stored):
                 todo += node.args
             elif node.op == "param" and node.data[0] == "alias":
                 todo.append(node.data[1])
@@ -272,20 +270,9 @@ class Plan:
 
     def _may_go(self, x: Node, reader: Node, also_input: Node | None) -> bool:
         """True if x can share the place of its reader: nobody reads the previous content before x is written."""
-        if (
-            x.index not in self.stored
-            or x.op == "result"
-            or x.op not in ELEMENTWISE
-            or x.region is not self.top
-            or self.local(x)
-        ):
+        if x.index not in self.stored or x.op == "result" or x.op not in ELEMENTWISE or x.region is not self.top or self.local(x):
             return False
-        if (
-            x.kind != reader.kind
-            or x.index in self.place
-            or x.index in self.into
-            or any(x is out for out in self.outputs)
-        ):
+        if x.kind != reader.kind or x.index in self.place or x.index in self.into or any(x is out for out in self.outputs):
             return False
         return self._free(x, self.start[x.index], also_input)
 

@@ -135,9 +135,7 @@ def _function(traced, structs, inputs: tuple[Field, ...], out: tuple[Field, ...]
     """traced: of (parameters, state, *inputs) -> (state, out), or, without out, of (parameters) -> state."""
     graph = Graph()
     args: list[Node] = []
-    arguments_of = [("parameters->", structs["parameters"])] + (
-        [("state->", structs["state"])] if out is not None else []
-    )
+    arguments_of = [("parameters->", structs["parameters"])] + ([("state->", structs["state"])] if out is not None else [])
     states: list[Node | None] = []
     for prefix, group in [*arguments_of, ("", inputs)]:
         for f in group:
@@ -189,11 +187,7 @@ def _table(node: Node) -> str:
     if node.kind == "f":  # shorter to read where single precision holds the same number
         numbers = [n[2:-1] if n.startswith("R(") and _short(v) else n for n, v in zip(numbers, values, strict=True)]
     head = f"static const {TYPES[node.kind]} c{node.index}[{node.size}] = {{"
-    return (
-        "\n".join([head, *_wrapped(numbers), "};"])
-        if len(head) + 22 * len(numbers) > WIDTH
-        else head + ", ".join(numbers) + "};"
-    )
+    return "\n".join([head, *_wrapped(numbers), "};"]) if len(head) + 22 * len(numbers) > WIDTH else head + ", ".join(numbers) + "};"
 
 
 def _short(value: float) -> bool:
@@ -284,23 +278,11 @@ def _source(name, digest, structs, inputs, step: _C, init: _C | None) -> str:
         lines += ["#ifdef ROTORWATCH_FLOAT", *floats, "#else", *doubles, "#endif"]
     for macro, single in (("R_TINY", "R(0.0)"), ("R_HUGE", "(real)INFINITY")):
         if f"{macro}(" in "\n".join([text, *(line for c in parts for line in c.tables)]):
-            lines += [
-                "#ifdef ROTORWATCH_FLOAT",
-                f"#define {macro}(x) {single}",
-                "#else",
-                f"#define {macro}(x) R(x)",
-                "#endif",
-            ]
+            lines += ["#ifdef ROTORWATCH_FLOAT", f"#define {macro}(x) {single}", "#else", f"#define {macro}(x) R(x)", "#endif"]
     if LANES in text:
         # gcc would write a short loop out, and then take the loop around it for the vector's lanes.
         pragma = '_Pragma("GCC unroll 1")'
-        lines += [
-            "#if defined(__GNUC__) && !defined(__clang__)",
-            f"#define {LANES} {pragma}",
-            "#else",
-            f"#define {LANES}",
-            "#endif",
-        ]
+        lines += ["#if defined(__GNUC__) && !defined(__clang__)", f"#define {LANES} {pragma}", "#else", f"#define {LANES}", "#endif"]
     lines += ["", *helpers, ""] if helpers else [""]
     if init is not None:
         init = _renamed(init, "i_")
@@ -312,12 +294,7 @@ def _source(name, digest, structs, inputs, step: _C, init: _C | None) -> str:
     lines += [*_signature(f"void {name}_run", arguments(name, structs, inputs, True), ""), "{"]
     row = ["state", *(["parameters"] if structs["parameters"] else [])]
     row += [f"{f.name} + {f.size} * (size_t)k" if f.shape else f"{f.name}[k]" for f in inputs]
-    lines += [
-        "    for (int32_t k = 0; k < rows; ++k)",
-        f"        {name}_step({', '.join([*row, 'out + k', 'work'])});",
-        "}",
-        "",
-    ]
+    lines += ["    for (int32_t k = 0; k < rows; ++k)", f"        {name}_step({', '.join([*row, 'out + k', 'work'])});", "}", ""]
     return "\n".join(lines)
 
 
@@ -328,17 +305,13 @@ def _used(body: str) -> list[str]:
 
 def _renamed(c: _C, prefix: str) -> _C:
     """Tables and kernels of the two functions kept apart."""
-    names = [re.search(r"(\w+)\[\d+\] = \{", t) for t in c.tables] + [
-        re.search(r"static void (\w+)\(", k) for k in c.kernels
-    ]
+    names = [re.search(r"(\w+)\[\d+\] = \{", t) for t in c.tables] + [re.search(r"static void (\w+)\(", k) for k in c.kernels]
     known = {m.group(1) for m in names if m}
 
     def change(text: str) -> str:
         return re.sub(r"\b[A-Za-z_]\w*", lambda m: prefix + m.group(0) if m.group(0) in known else m.group(0), text)
 
-    return c._replace(
-        lines=[change(t) for t in c.lines], tables=[change(t) for t in c.tables], kernels=[change(t) for t in c.kernels]
-    )
+    return c._replace(lines=[change(t) for t in c.lines], tables=[change(t) for t in c.tables], kernels=[change(t) for t in c.kernels])
 
 
 def _opening(c: _C, structs, inputs) -> list[str]:

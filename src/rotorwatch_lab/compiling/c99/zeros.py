@@ -76,14 +76,7 @@ def _pattern(x: Node, args: list[np.ndarray]) -> np.ndarray:
 def added(graph: Graph, x: Node, constant: Node) -> Node | None:
     """x + a constant that is zero but on a line (an identity, a diagonal of process noise): only that line is added; else None."""
     known = value(constant)
-    if (
-        known is None
-        or x.kind != "f"
-        or x.shape != constant.shape
-        or x.size < TABLE
-        or x.op == "view"
-        or graph.symmetric(x)
-    ):
+    if known is None or x.kind != "f" or x.shape != constant.shape or x.size < TABLE or x.op == "view" or graph.symmetric(x):
         return None
     at = np.flatnonzero(known)
     if regular(at) is None or at.size * FEW > x.size or value(x) is not None:
@@ -95,12 +88,7 @@ def added(graph: Graph, x: Node, constant: Node) -> Node | None:
 def diagonal(graph: Graph, x: Node) -> Node | None:
     """The diagonal (..., n) of a matrix, or of each of a batch, that is known to be zero beside it; else None."""
     rank = len(x.shape)
-    if (
-        rank < 2
-        or x.shape[-1] != x.shape[-2]
-        or x.size > MOST
-        or pattern(graph, x)[..., ~np.eye(x.shape[-1], dtype=bool)].any()
-    ):
+    if rank < 2 or x.shape[-1] != x.shape[-2] or x.size > MOST or pattern(graph, x)[..., ~np.eye(x.shape[-1], dtype=bool)].any():
         return None
     return graph.view(x, x.shape[:-1], axes_of(rank, rank - 1, lambda i, j: j == min(i, rank - 2)))
 
@@ -154,9 +142,7 @@ def product(graph: Graph, a: Node, b: Node, batch: int = 0) -> Node | None:
         for k in np.flatnonzero(row).tolist():
             one = graph.sliced(a, (*origin, i, k), (*many, i + 1, k + 1))
             factor = graph.broadcast(one, shape, range(len(shape)))
-            term = graph.elementwise(
-                "mul", factor, graph.sliced(b, (*origin, k, 0), (*many, k + 1, shape[-1])), kind="f"
-            )
+            term = graph.elementwise("mul", factor, graph.sliced(b, (*origin, k, 0), (*many, k + 1, shape[-1])), kind="f")
             sum_ = term if sum_ is None else graph.elementwise("add", sum_, term, kind="f")
         rows.append(graph.broadcast(graph.const(np.float64(0.0)), shape, ()) if sum_ is None else sum_)
     return graph.concat(rows, batch)

@@ -214,9 +214,7 @@ def markdown(result: dict[str, Any]) -> str:
     parts = []
     for group, rows in result["groups"].items():
         count = next(iter(rows.values()), {"flights": 0, "faults": 0})
-        parts.append(
-            f"\n## {group[0].upper()}{group[1:]}\n\n{count['flights']} flights, {count['faults']} with a fault.\n"
-        )
+        parts.append(f"\n## {group[0].upper()}{group[1:]}\n\n{count['flights']} flights, {count['faults']} with a fault.\n")
         order = sorted(rows, key=lambda name: (rows[name]["loss_rmse"] or 0.0, rows[name]["false_alarms"]))
         cost = {name: cell("us_per_step", result["us_per_step"].get(name)) for name in order}
         parts.append(tools.table(heads, ([f"`{n}`", *(cell(k, rows[n][k]) for k in keys), cost[n]] for n in order)))

@@ -110,9 +110,7 @@ def simulate(vehicle: Vehicle, losses, rotors, onsets, rng: np.random.Generator)
         rate = rate + STEP * torque / INERTIA
         angle = angle + STEP * rate
         load = wrench[:, 3] / n
-        climb = (
-            climb + STEP * G0 * (load * np.cos(angle[:, 0]) * np.cos(angle[:, 1]) - 1.0)[:, None] - STEP * 0.3 * climb
-        )
+        climb = climb + STEP * G0 * (load * np.cos(angle[:, 0]) * np.cos(angle[:, 1]) - 1.0)[:, None] - STEP * 0.3 * climb
         rows.append((command, noisy, -G0 * load, angle.copy()))
     command, gyro, f_z, angle = (np.array(column) for column in zip(*rows))
     f_z = f_z + ACCEL_SD * rng.standard_normal(f_z.shape)
@@ -192,9 +190,7 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
             rotors = [int(r) for r in row["faulty_rotors"].split("+") if r]
             faults = tuple((r, float(row["start_s"]), float(row["thrust_loss"])) for r in rotors)
         except ValueError:
-            raise ConfigError(
-                f"{truth}: the line of {row['path']} does not give rotors (as in 1+2), start and loss as numbers."
-            ) from None
+            raise ConfigError(f"{truth}: the line of {row['path']} does not give rotors (as in 1+2), start and loss as numbers.") from None
         scenes.append(_scene("logs with known faults", flight, airframes.identify(flight), faults))
     return [s for s in scenes if s is not None]
 
@@ -202,8 +198,7 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
 def _read(path: str | PathLike) -> Flight:
     flight = logs.read(path)
     aerobatic.decline(
-        flight,
-        "the published methods model hover, so that there is nothing to compare; `rotorwatch inject` puts losses into it.",
+        flight, "the published methods model hover, so that there is nothing to compare; `rotorwatch inject` puts losses into it."
     )
     return flight
 

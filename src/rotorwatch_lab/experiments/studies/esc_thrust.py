@@ -72,9 +72,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
     table = []
     for (kind, strength), wind, expo in itertools.product(cases, (0.0, 5.0), (0.65, 0.2)):
         cells = {view: [] for view in VIEWS}
-        for autopilot, frame, seed in itertools.product(
-            ("ardupilot", "px4"), ("quad-x", "hexa-x"), range(1, repeats + 1)
-        ):
+        for autopilot, frame, seed in itertools.product(("ardupilot", "px4"), ("quad-x", "hexa-x"), range(1, repeats + 1)):
             flight = flown(kind, strength, wind, expo, autopilot, frame, seed)
             for view in VIEWS:
                 cells[view].append(judged(flight, view))
@@ -94,9 +92,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
                     "others": sum(len(answer) for answer in answers) - len(hits),
                     "delay_s": float(np.median([e.detected_s - ONSET_S for e in hits])) if hits else None,
                     "error_rms": float(np.sqrt(np.mean(error**2))) if hits else None,
-                    "sd": float(np.median([(e.interval[0][1] - e.interval[0][0]) / 3.92 for e in hits]))
-                    if hits
-                    else None,
+                    "sd": float(np.median([(e.interval[0][1] - e.interval[0][0]) / 3.92 for e in hits])) if hits else None,
                 }
             )
     return table
@@ -113,9 +109,7 @@ def markdown(table: Sequence[dict]) -> str:
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description="The default method on commanded thrust and on thrust from speed squared."
-    )
+    parser = argparse.ArgumentParser(description="The default method on commanded thrust and on thrust from speed squared.")
     parser.add_argument("--repeats", type=int, default=3)
     print(markdown(rows(parser.parse_args().repeats)))
 

@@ -92,14 +92,10 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     part = _longest(table, air) if table is not None else slice(0, 0)
     if table is None or (part.stop - part.start) * table.dt < SHORTEST_S:
         name = flight.name or "the flight"
-        raise ConfigError(
-            f"{name} has no {SHORTEST_S:.0f} s of judged flight without gaps to make surrogates from; leave it out."
-        )
+        raise ConfigError(f"{name} has no {SHORTEST_S:.0f} s of judged flight without gaps to make surrogates from; leave it out.")
     n = table.thrust.shape[1]
     known = np.asarray(table.valid[part, :3].all(axis=1))
-    y, rate, rate_dot, load = (
-        _bridged(v[part], known) for v in (table.wrench, table.rate, table.rate_dot, table.load[:, None])
-    )
+    y, rate, rate_dot, load = (_bridged(v[part], known) for v in (table.wrench, table.rate, table.rate_dot, table.load[:, None]))
     side = _bridged(np.zeros((len(y), 2)) if table.side is None else table.side[part], known)
     regressors = _regressors(rate, rate_dot, load, side, n)
     one = np.ones((len(y), 1))
@@ -210,10 +206,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
     e, rate, rate_dot, load, side = np.split(channels + source.level, [4, 7, 10, 11], axis=1)
     # The trend goes to and fro: continued, it would leave the range that it had in flight.
     length = len(source.slow)
-    drift = (
-        source.slope
-        * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
-    )
+    drift = source.slope * (np.abs((np.arange(count) + rng.integers(2) * length) % (2 * length) - length) - 0.5 * length)[:, None]
     wrench = (source.gains * _regressors(rate, rate_dot, load, side, n)).sum(axis=2) + drift + e
     learning = ready_s(source.vehicle) - HOVER_LEARN_S
     time = dt * np.arange(count)
@@ -300,9 +293,7 @@ def false_alarms(
         parts = [surrogates_of((i, source), report=functools.partial(report, i)) for i, source in enumerate(sources)]
     else:
         parts = list(many.ordered(surrogates_of, list(enumerate(sources)), jobs, scheduler, finished, keep))
-    firsts = {
-        shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS
-    }
+    firsts = {shift: (sum(p.firsts[shift][0] for p in parts), sum(p.firsts[shift][1] for p in parts)) for shift in SHIFTS}
     evidence = {kind: [v for p in parts for v in p.evidence[kind]] for kind in ("surrogates", "flown")}
     rows = [p.row for p in parts]
     total = {k: sum(r[k] for r in rows) for k in ("flights", "hours", "alarms")}
@@ -329,11 +320,7 @@ class _Part(NamedTuple):
 
 
 def _surrogates(
-    numbered: tuple[int, Flight | str],
-    hours: float,
-    seed: int,
-    flight_s: float,
-    report: Callable[[float, str], None] | None = None,
+    numbered: tuple[int, Flight | str], hours: float, seed: int, flight_s: float, report: Callable[[float, str], None] | None = None
 ) -> _Part:
     """`hours` of surrogates of one flight; its number and the seed determine the random numbers. report: called with the finished share,
     name."""
@@ -365,9 +352,7 @@ def _surrogates(
         inside = np.zeros(len(table.time), bool)
         inside[origin.part] = True
         evidence["flown"] += _peaks(out, inside, table.dt)
-        flown = {
-            key: flown[key] + more for key, more in (("flights", 1), ("hours", _hours(table)), ("alarms", len(found)))
-        }
+        flown = {key: flown[key] + more for key, more in (("flights", 1), ("hours", _hours(table)), ("alarms", len(found)))}
         alarms += [_line(flight.name, image, e) for e in found]
     return _Part({**row, **_rate(row["alarms"], row["hours"])}, flown, firsts, evidence, alarms)
 

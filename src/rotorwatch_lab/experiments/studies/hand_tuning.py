@@ -159,9 +159,7 @@ def study(names: Sequence[str] = (), rounds: int = tune.ROUNDS, progress: Callab
         for how, tuning in (("hand", hand), ("tuned", fit.tuning)):
             row[f"{how}_log_likelihood"] = tune.log_likelihood(METHOD, healthy, tuning)
             row[f"{how}_rmse"] = _rmse(faulty, truth, tuning)
-        rows.append(
-            row | {"q": fit.tuning.q.tolist(), "r": fit.tuning.r.tolist(), "keywords": dict(fit.tuning.keywords)}
-        )
+        rows.append(row | {"q": fit.tuning.q.tolist(), "r": fit.tuning.r.tolist(), "keywords": dict(fit.tuning.keywords)})
         if progress:
             progress((k + 1) / len(names or PAPERS), name)
     return rows

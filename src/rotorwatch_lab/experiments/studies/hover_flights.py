@@ -30,11 +30,7 @@ from rotorwatch_lab.experiments.studies.runge_kutta import rk4
 PLANT_HZ, OBSERVER_HZ = 400, 100
 PER_SAMPLE = PLANT_HZ // OBSERVER_HZ
 # PID on (phi, theta, psi, z): stiff in roll and pitch, where 20 % of one motor is 40 rad/s^2.
-KP, KD, KI = (
-    np.array([600.0, 600.0, 25.0, 9.0]),
-    np.array([40.0, 40.0, 10.0, 5.0]),
-    np.array([1500.0, 1500.0, 20.0, 5.0]),
-)
+KP, KD, KI = (np.array([600.0, 600.0, 25.0, 9.0]), np.array([40.0, 40.0, 10.0, 5.0]), np.array([1500.0, 1500.0, 20.0, 5.0]))
 POSITION, VELOCITY, VELOCITY_I = 1.0, 1.0, 0.5  # 1/s, 1/s, 1/s^2
 TILT = np.radians(20.0)
 DOWN = np.array([1, 1, 1, -1] * 2)  # from the paper's frame, z up, to NED
@@ -74,11 +70,7 @@ def ring(file: dict, rotors: int) -> dict:
     """The same motors on a regular ring of the same arm; mass and inertia grow with the number of rotors."""
     azimuth = np.pi * (2 * np.arange(rotors) + 1) / rotors
     share = rotors / len(file["rotors"]["x"])
-    where = {
-        "x": file["arm"] * np.cos(azimuth),
-        "y": file["arm"] * np.sin(azimuth),
-        "spin": 1.0 - 2.0 * (np.arange(rotors) % 2),
-    }
+    where = {"x": file["arm"] * np.cos(azimuth), "y": file["arm"] * np.sin(azimuth), "spin": 1.0 - 2.0 * (np.arange(rotors) % 2)}
     return {**file, "rotors": where, "mass": share * file["mass"], "inertia": share * np.array(file["inertia"])}
 
 

@@ -51,10 +51,7 @@ def assumptions() -> dict:
     A, C, E = design.double_integrators()
     cases = {"all eight": C, "angles and height": C[:4], "rates alone": C[4:], "angles alone": C[:3]}
     tests = {name: design.rank_test(A, some, E) for name, some in cases.items()}
-    return {
-        name: {"holds": r.holds, "at": "everywhere" if r.everywhere else [float(z.real) for z in r.zeros]}
-        for name, r in tests.items()
-    }
+    return {name: {"holds": r.holds, "at": "everywhere" if r.everywhere else [float(z.real) for z in r.zeros]} for name, r in tests.items()}
 
 
 def matching(alpha: float, epsilon: float) -> dict:
@@ -90,9 +87,7 @@ def procedure(vehicle: Craft, u, y, epsilons: dict[str, float], settle: Callable
                 continue
             gain = [float(synthesis.L[i, j]) for i, j in ((0, 0), (0, 4), (4, 0), (4, 4))]
             seconds = settle(observe(vehicle, synthesis.L, alpha, u, y)[1])
-            rows.append(
-                {**row, "feasible": True, "alpha": alpha, "L": gain, "largest": synthesis.largest, "settle_s": seconds}
-            )
+            rows.append({**row, "feasible": True, "alpha": alpha, "L": gain, "largest": synthesis.largest, "settle_s": seconds})
     for alpha, lp, lv in ours:
         L = np.diag([lp] * 4 + [lv] * 4)
         mu = 1.0 / alpha**2
@@ -139,9 +134,7 @@ def claims(f: dict) -> tuple[Claim, ...]:
         if not row["holds"]
     }
     rows = f["table_1"]["rows"]
-    named = {
-        name: [r for r in rows if r["reading"] == name] for name in ("as printed", "its inverse", "this project's")
-    }
+    named = {name: [r for r in rows if r["reading"] == name] for name in ("as printed", "its inverse", "this project's")}
     off = max(float(np.abs(np.subtract(r["final"], r["true"])).max()) for r in flights.values())
     feasible = {name: all(r["feasible"] for r in part) for name, part in named.items()}
     verdicts = {
@@ -171,16 +164,11 @@ def tables(f: Mapping[str, Any]) -> list[Table]:
     solved = []
     for r in f["table_1"]["rows"]:
         cells = (
-            [f"{r['alpha']:.3g}", " ".join(f"{v:.3g}" for v in r["L"]), _seconds(r["settle_s"])]
-            if r["feasible"]
-            else ["-", "none", "-"]
+            [f"{r['alpha']:.3g}", " ".join(f"{v:.3g}" for v in r["L"]), _seconds(r["settle_s"])] if r["feasible"] else ["-", "none", "-"]
         )
         solved.append([r["reading"], f"{r['epsilon']:g}", f"{r['mu']:g}", *cells])
     head = ("epsilon", "its value", "mu", "alpha", "L: angle, rate from angle, rate", "within 0.02 after, s")
-    parts = [
-        [name.replace("_", " "), *(f"{row[k]:.1e}" for k in ("body", "rotors", "tilt"))]
-        for name, row in f["xi"].items()
-    ]
+    parts = [[name.replace("_", " "), *(f"{row[k]:.1e}" for k in ("body", "rotors", "tilt"))] for name, row in f["xi"].items()]
     of = ("flight", "gyroscopic, vehicle, rad/s²", "gyroscopic, rotors (J_r), rad/s²", "tilt, m/s²")
     return [
         Table("Gains by table 1's procedure, and this project's, on scenario 3", head, solved),

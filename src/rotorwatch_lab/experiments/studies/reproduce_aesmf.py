@@ -80,9 +80,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
     escapes = adversarial_escapes(seeds=40)  # the same number below, and the programs are the same
     progress(0.58, "wrong filters on small systems")
     figures: dict[str, Any] = {
-        key: {name: results[name][key] for name in LABELS}
-        for key in results["esmf"]
-        if key not in ("restarts", "outgrown_s")
+        key: {name: results[name][key] for name in LABELS} for key in results["esmf"] if key not in ("restarts", "outgrown_s")
     }
     figures |= {
         "restarts_per_flight": {name: results[name]["restarts"] for name in LABELS},
@@ -93,9 +91,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
         "mutation_escapes": mutation_escapes(seeds=40),
     }
     claims, forms = _claims(figures)
-    figures["flight_test"], flown = ruav_flight_test.flight_test(
-        literal, lambda share, text: progress(0.6 + 0.35 * share, text)
-    )
+    figures["flight_test"], flown = ruav_flight_test.flight_test(literal, lambda share, text: progress(0.6 + 0.35 * share, text))
     progress(0.95, "identification")
     identified = ruav_identification.identify()
     figures["identification"] = ruav_identification.numbers(identified)
@@ -177,48 +173,31 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
     def told(text: Callable[[dict, dict], str]) -> str:
         return ruav_filters.by_form({form: text(both["esmf"], both["aesmf"]) for form, both in forms.items()})
 
-    kalman = {
-        f"{name.upper()}, {label}": f["kalman"][how][name]["containment"]
-        for name in KALMAN
-        for how, label in RESTARTS.items()
-    }
+    kalman = {f"{name.upper()}, {label}": f["kalman"][how][name]["containment"] for name in KALMAN for how, label in RESTARTS.items()}
     timed = {label: how for label, how in (("as printed", "printed"), ("own form", "own"))}
     cheapest = max(cost[f"{name}/no_restart"] for name in KALMAN)
     by_form = {
-        "cover": sets(
-            lambda e, g, _: graded(_covers(e) and _covers(g) and _tells(e) and _tells(g), _covers(e) and _covers(g))
-        ),
+        "cover": sets(lambda e, g, _: graded(_covers(e) and _covers(g) and _tells(e) and _tells(g), _covers(e) and _covers(g))),
         "tightest": sets(lambda e, g, _: _tightest(e, g)),
         "kalman": {label: graded(inside < 0.95) for label, inside in kalman.items()},
         "stable": sets(
             lambda e, g, _: graded(
-                safe and g["half_width_healthy"] < KNOWN and g["least_q"] >= bound,
-                safe and g["half_width_healthy"] < KNOWN,
+                safe and g["half_width_healthy"] < KNOWN and g["least_q"] >= bound, safe and g["half_width_healthy"] < KNOWN
             )
         ),
         "centre": sets(lambda e, g, _: graded(e["off_centre"] > 1.5 * g["off_centre"])),
-        "cheapest": {
-            label: graded(cheapest < min(cost[f"{name}/{form}"] for name in SETS)) for label, form in timed.items()
-        },
-        "best_cost": {
-            label: "refuted" if cost[f"aesmf/{form}"] > cheapest else graded(True) for label, form in timed.items()
-        },
+        "cheapest": {label: graded(cheapest < min(cost[f"{name}/{form}"] for name in SETS)) for label, form in timed.items()},
+        "best_cost": {label: "refuted" if cost[f"aesmf/{form}"] > cheapest else graded(True) for label, form in timed.items()},
     }
     verdicts = {name: reproduction.across(one) for name, one in by_form.items()}
     aukf = cost["aukf/no_restart"] / cost["aekf/no_restart"]
     verdicts["costly_aukf"] = graded(aukf > 2.0, aukf > 1.0)
     words = {
-        "cover": told(
-            lambda e, g: f"{e['containment']:.3f} and {g['containment']:.3f}, half-widths {_size(e)} and {_size(g)}"
-        ),
-        "tightest": told(
-            lambda e, g: f"healthy {_size(e, '_healthy')} -> {_size(g, '_healthy')}, after it {_size(e)} -> {_size(g)}"
-        ),
+        "cover": told(lambda e, g: f"{e['containment']:.3f} and {g['containment']:.3f}, half-widths {_size(e)} and {_size(g)}"),
+        "tightest": told(lambda e, g: f"healthy {_size(e, '_healthy')} -> {_size(g, '_healthy')}, after it {_size(e)} -> {_size(g)}"),
         "kalman": "; ".join(f"{label} {inside:.2f}" for label, inside in kalman.items()),
         "stable": told(
-            lambda e, g: (
-                f"{g['least_q']:.3f}, {g['ellipsoid_healthy']:.2f} and {g['ellipsoid']:.2f}, empty {g['restarts']:.2g} times"
-            )
+            lambda e, g: f"{g['least_q']:.3f}, {g['ellipsoid_healthy']:.2f} and {g['ellipsoid']:.2f}, empty {g['restarts']:.2g} times"
         ),
         "centre": told(lambda e, g: f"{e['off_centre']:.2f} and {g['off_centre']:.2f}"),
         "ratios": {name: value / cost["aekf/no_restart"] for name, value in cost.items()},

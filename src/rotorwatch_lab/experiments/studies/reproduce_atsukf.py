@@ -280,9 +280,7 @@ def claims(f: dict) -> tuple[Claim, ...]:
         "gated": graded(cured, True),
         "attitude_alone": "holds" if f["attitude_alone"]["off"] < 0.05 else "refuted",
     }
-    alone = {
-        key: " ".join(f"{v:.3f}" for v in f["attitude_alone"][key]["found"]) for key in ("scenario_1", "scenario_2")
-    }
+    alone = {key: " ".join(f"{v:.3f}" for v in f["attitude_alone"][key]["found"]) for key in ("scenario_1", "scenario_2")}
     alone["hidden"] = " ".join(f"{v:.2f}" for v in f["attitude_alone"]["hidden"])
     percent, delay = [100 * c for c in change], f["half_delay_s"]["scenario_1"]
     out = reproduction.claims(

@@ -110,16 +110,12 @@ def histories(system, literal, lanes) -> History:
 
     def one(u, y, forgetting, theta_var, s_max):
         memory_s = -DT / jax.numpy.log(forgetting)
-        method = AsPrinted(
-            system, DT, literal, gain=observer_gain.printed(), memory_s=memory_s, theta_var=theta_var, s_max=s_max
-        )
+        method = AsPrinted(system, DT, literal, gain=observer_gain.printed(), memory_s=memory_s, theta_var=theta_var, s_max=s_max)
 
         def step(carry, row):
             evidence = information(system, carry, row[0])
             carry, out = method.step(carry, row[0], row[1], valid)
-            row_out = History(
-                out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], evidence
-            )
+            row_out = History(out.theta, out.x, carry.z, jax.numpy.diagonal(carry.state.S), carry.state.P[:, :3], evidence)
             return carry, row_out
 
         return jax.lax.scan(step, method.init(), (u, y))[1]
@@ -171,9 +167,7 @@ def _six(airframe, literal, flight, excited, figures) -> History:
     K = P / R
     figures["sigma11"] = np.linalg.inv(np.eye(3) - K[:3])[0, 0] * R
     figures["k11"], figures["k41"] = K[0, 0], K[3, 0]
-    figures["six_theta_final"], figures["six_theta_bounded_final"], figures["six_theta_excited_final"] = history.theta[
-        :, -1
-    ]
+    figures["six_theta_final"], figures["six_theta_bounded_final"], figures["six_theta_excited_final"] = history.theta[:, -1]
     figures["s11_final"], figures["s11_bounded_final"] = history.S[:2, -1, 0]
     figures["excitation_six"], figures["excitation_tones"] = (excitation(history.evidence[lane]) for lane in (1, 2))
     return history
@@ -286,10 +280,7 @@ def _wrong_starts(airframe, seeds) -> dict[str, dict[str, np.ndarray]]:
 
         run = jax.jit(jax.vmap(angles, in_axes=(0, 0, None)))
         # NumPy's maximum of NaN is NaN; XLA's may be a number.
-        errors[name] = {
-            kind: np.abs(np.asarray(run(y, starts, variance)) - truth[:, :3]).max(axis=-1)
-            for kind, variance in P0.items()
-        }
+        errors[name] = {kind: np.abs(np.asarray(run(y, starts, variance)) - truth[:, :3]).max(axis=-1) for kind, variance in P0.items()}
     return errors
 
 
@@ -307,16 +298,12 @@ def _claims(f: dict[str, Any]) -> tuple[Claim, ...]:
     lost, honest = f["divergence"], f["divergence_honest_P0"]
     # Errors of the momenta at the end, as shares of them: of the observer stage and of the filter, with the fault term and without.
     slow, quick, blind, follows = (
-        float(np.max(f[f"{who}p_error{term}"] / np.abs(p)))
-        for term in ("", "_without_fault_term")
-        for who in ("observer_", "")
+        float(np.max(f[f"{who}p_error{term}"] / np.abs(p))) for term in ("", "_without_fault_term") for who in ("observer_", "")
     )
     angle = np.abs(f["angle_final"]).max()
     off = [np.max(f[f"{who}angle_error{term}"]) for who in ("", "observer_") for term in ("", "_without_fault_term")]
     excited = {which: f[f"excitation_{which}"][0] > UNEXCITED * f[f"excitation_{which}"][1] for which in ("two", "six")}
-    quiet, loud = (
-        (np.asarray(f[k]) < STEADY * np.array(LOSSES)).all() for k in ("noise_4e5_std", "noise_printed_R_std")
-    )
+    quiet, loud = ((np.asarray(f[k]) < STEADY * np.array(LOSSES)).all() for k in ("noise_4e5_std", "noise_printed_R_std"))
     share = np.abs(f["virtual_multiplicative_final"]).max()
     seen, recovered = share > 0.5 * min(LOSSES), f["virtual_additive_error"] < TORQUE_ERROR
     verdicts = {

@@ -101,9 +101,7 @@ def _scenario_flights(file: dict, seeds: int, rng) -> SimpleNamespace:
         gamma += [_steps(losses)] * (seeds + 1)
         nu += [gain] * (seeds + 1)
     gamma = np.array(gamma)
-    u, y = hover_flights.fly(
-        hover_flights.craft(file), gamma, np.zeros((len(gamma), SAMPLES, 4)), np.tile(noise, (len(SCENARIOS), 1, 1))
-    )
+    u, y = hover_flights.fly(hover_flights.craft(file), gamma, np.zeros((len(gamma), SAMPLES, 4)), np.tile(noise, (len(SCENARIOS), 1, 1)))
     return SimpleNamespace(gamma=gamma, nu=np.array(nu), rows=rows, show=show, u=u, y=y)
 
 
@@ -138,12 +136,8 @@ def _watch_all(file: dict, flights, moving) -> tuple[dict, tuple, np.ndarray]:
     """All that one program can do: every scenario's flights by alpha; (u, y, gamma, run) of each scenario's first flight and the climbing
     one without gain on yaw, alpha = 1; and losses (T, 4) of the climbing one with alpha = 5."""
     clean, N = [flights.rows[name][0] for name in SCENARIOS], len(flights.u)
-    plain = [
-        np.concatenate([getattr(flights, k)[clean], part]) for k, part in zip(("u", "y", "gamma"), moving, strict=True)
-    ]
-    u, y = (
-        np.concatenate([*[getattr(flights, k)] * len(ALPHAS), plain[i], moving[i]]) for i, k in enumerate(("u", "y"))
-    )
+    plain = [np.concatenate([getattr(flights, k)[clean], part]) for k, part in zip(("u", "y", "gamma"), moving, strict=True)]
+    u, y = (np.concatenate([*[getattr(flights, k)] * len(ALPHAS), plain[i], moving[i]]) for i, k in enumerate(("u", "y")))
     rest = np.ones(len(plain[0]))
     alpha = np.concatenate([np.repeat(ALPHAS, N), rest, [CLIMB_ALPHA]])
     run = _watch(LinearHover.of(file), u, y, alpha, np.concatenate([np.tile(flights.nu, len(ALPHAS)), rest, [1.0]]))
@@ -173,10 +167,7 @@ def _scenario(name: str, flights, runs) -> dict:
         "final": end[1.0][noisy].mean(axis=0) if len(noisy) else end[1.0][clean],
         "final_without_noise": end[1.0][clean],
         "sd": runs[1.0].theta[noisy, -LAST:].std(axis=(0, 1)) if len(noisy) else np.zeros(4),
-        "settle_s": {
-            f"alpha_{alpha:g}": max(_settling_s(run.theta[clean], true, k) for k in onsets)
-            for alpha, run in runs.items()
-        },
+        "settle_s": {f"alpha_{alpha:g}": max(_settling_s(run.theta[clean], true, k) for k in onsets) for alpha, run in runs.items()},
     }
 
 
@@ -290,18 +281,9 @@ def _long(file: dict, rng) -> tuple[dict, dict]:
     true = error_bound.truth(vehicle, u, y, gamma)[0]
     rows, series = {}, {"time": DT * np.arange(gamma.shape[1])}
     for k, name in enumerate(SCENARIOS):
-        rows[name] = {
-            "onsets_s": printed.PRINTED_S[name],
-            "final": run.theta[k, -LAST:].mean(axis=0),
-            "true": gamma[k, -1],
-        }
+        rows[name] = {"onsets_s": printed.PRINTED_S[name], "final": run.theta[k, -LAST:].mean(axis=0), "true": gamma[k, -1]}
         divide = np.array([1.0, 1.0, nu[k], 1.0])
-        series[name] = {
-            "theta": run.theta[k],
-            "gamma": gamma[k],
-            "fault": run.fault[k, :, 4:] / divide,
-            "true_fault": true[k],
-        }
+        series[name] = {"theta": run.theta[k], "gamma": gamma[k], "fault": run.fault[k, :, 4:] / divide, "true_fault": true[k]}
     return {"length_s": printed.LENGTH_S, "flights": rows}, series
 
 
@@ -325,13 +307,9 @@ def _positions(file: dict) -> tuple[dict, dict]:
     for k, name in enumerate(names):
         stops = (*ONSETS[1:], SAMPLES)
         spans = [
-            (a, b)
-            for a, b in zip(ONSETS, stops, strict=True)
-            if np.any(gamma[k * len(STIFFNESS), a] != gamma[k * len(STIFFNESS), a - 1])
+            (a, b) for a, b in zip(ONSETS, stops, strict=True) if np.any(gamma[k * len(STIFFNESS), a] != gamma[k * len(STIFFNESS), a - 1])
         ]
-        off = [
-            [np.abs(place[k, i, a:b] - place[k, i, a - 1]).max(axis=0) for a, b in spans] for i in range(len(STIFFNESS))
-        ]
+        off = [[np.abs(place[k, i, a:b] - place[k, i, a - 1]).max(axis=0) for a, b in spans] for i in range(len(STIFFNESS))]
         out[name] = {
             "off_m": np.array(off),
             "back_m": np.abs(place[k, :, -1]).max(axis=1),
@@ -374,9 +352,7 @@ def _ring(file: dict, rotors: int, rng) -> dict:
             gamma[faults - 1, k, RING_ONSET:, known[chosen]] = rng.uniform(0.1, 0.4, (faults, 1))
     gamma = gamma.reshape(3 * SETS, RING_SAMPLES, rotors)
     time = DT * np.arange(RING_SAMPLES)
-    moving = np.stack(
-        [0.1 * np.sin(9 * time), 0.1 * np.cos(7 * time), 0.3 * np.sin(3 * time), 0.3 * np.sin(5 * time)], axis=1
-    )
+    moving = np.stack([0.1 * np.sin(9 * time), 0.1 * np.cos(7 * time), 0.3 * np.sin(3 * time), 0.3 * np.sin(5 * time)], axis=1)
     reference = np.stack([0.0 * moving, moving])[:, None].repeat(len(gamma), axis=1).reshape(-1, RING_SAMPLES, 4)
     noise = rng.standard_normal((2 * len(gamma), hover_flights.PER_SAMPLE * RING_SAMPLES, 8)) * hover_flights.SD
     u, y = hover_flights.fly(vehicle, np.concatenate([gamma, gamma]), reference, noise)
@@ -387,9 +363,7 @@ def _ring(file: dict, rotors: int, rng) -> dict:
         end = np.abs(run.theta[:, -LAST // 2 :].mean(axis=1) - gamma[:, -1]).max(axis=1)
         result[rule] = np.median(end.reshape(3, SETS), axis=1)
         if rule == "sparse":
-            result["ambiguous_share"] = (
-                (np.median(run.ambiguity[:, -LAST // 2 :], axis=1) > 1).reshape(3, SETS).mean(axis=1)
-            )
+            result["ambiguous_share"] = (np.median(run.ambiguity[:, -LAST // 2 :], axis=1) > 1).reshape(3, SETS).mean(axis=1)
         if rule == "temporal":
             late = (np.abs(run.theta - gamma)[:, RING_ONSET:] > BAND).any(axis=2)
             settle = DT * (late.shape[1] - np.argmax(late[:, ::-1], axis=1)) * late.any(axis=1)
@@ -400,8 +374,7 @@ def _ring(file: dict, rotors: int, rng) -> dict:
 def _claims(f: dict) -> tuple[Claim, ...]:
     """The paper's claims, and ours beyond it."""
     worst, exact = (
-        {n: float(np.abs(np.subtract(f[n][key], f[n]["true"])).max()) for n in SCENARIOS}
-        for key in ("final", "final_without_noise")
+        {n: float(np.abs(np.subtract(f[n][key], f[n]["true"])).max()) for n in SCENARIOS} for key in ("final", "final_without_noise")
     )
     right = {n: worst[n] < 1e-3 and exact[n] < 1e-3 for n in SCENARIOS}
     rules = f["beyond_four_rules"]
@@ -450,14 +423,11 @@ def _bound_claim(bound: dict) -> Claim:
 def _channel_claim(channels: dict) -> Claim:
     """Figures 5, 9, 13, 17: every channel's fault, of every flight, in noise and without, relative to the largest of its flight."""
     off = {
-        name: max(np.abs(np.subtract(row[key], row["true"])).max() for key in ("found", "found_without_noise"))
-        / np.abs(row["true"]).max()
+        name: max(np.abs(np.subtract(row[key], row["true"])).max() for key in ("found", "found_without_noise")) / np.abs(row["true"]).max()
         for name, row in channels.items()
     }
     met = [name for name, error in off.items() if error < CHANNEL_OFF]
-    rows = "; ".join(
-        f"{n[-1]}: {', '.join(f'{v:.2f}' for v in channels[n]['found'])}" for n in channels if n != "scenario_1"
-    )
+    rows = "; ".join(f"{n[-1]}: {', '.join(f'{v:.2f}' for v in channels[n]['found'])}" for n in channels if n != "scenario_1")
     verdicts = {"channels": graded(len(met) == len(off), met)}
     return reproduction.claims(PAPER, verdicts, channels=rows, channel_percent=100 * max(off.values()))[0]
 

@@ -27,11 +27,7 @@ SEEDS = 10
 WEATHER = {"calm": 0.0, "disturbed": 0.01}  # white disturbance torque, N m per square root of Hz
 DURATION_S = 12.0
 SETTLE_S = 3.0  # after the onset; the error is taken from then on
-FAULTS = {
-    "rotor 1, 40 %": (0.4, 0, 0, 0, 0, 0),
-    "rotors 1,3": (0.3, 0, 0.3, 0, 0, 0),
-    "full loss rotor 1": (1.0, 0, 0, 0, 0, 0),
-}
+FAULTS = {"rotor 1, 40 %": (0.4, 0, 0, 0, 0, 0), "rotors 1,3": (0.3, 0, 0.3, 0, 0, 0), "full loss rotor 1": (1.0, 0, 0, 0, 0, 0)}
 PATHS = {"eight": 1.0, "hover": 0.0}
 LOOSE = (-0.2, 1.0)  # effectiveness up to 1.2, as for an airframe that has not been calibrated
 TIGHT = (-0.005, 1.0)  # so that bounds are at work in the window that another solver gets
@@ -79,11 +75,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
         estimator = AtEstimate(system, flights.DT, bounds=LOOSE, **options)
         read, _, trace = judge(estimator, flown["calm"])
         gap = float(np.abs(trace - traces["lyapunov"]).max())
-        as_read = {
-            "difference": gap,
-            "rmse": float(read.mean()),
-            "rmse_as_built": float(errors["calm"]["lyapunov"].mean()),
-        }
+        as_read = {"difference": gap, "rmse": float(read.mean()), "rmse_as_built": float(errors["calm"]["lyapunov"].mean())}
         as_read["bodies_term"] = gyroscopic(system, flown["calm"].omega)
     capped = judge(MHLyapunov(system, flights.DT, **options), flown["calm"])[0]
     progress(0.9, "another solver")
@@ -128,9 +120,7 @@ def observable(system: RateDynamics, scaled: bool = True, orders: int | None = N
     hover = np.concatenate([observability.hover_thrusts(system)[None], np.zeros((orders, system.n_u))])
     xs = np.concatenate([np.zeros((1, 3)), omega[::stride]])
     us = np.concatenate([hover[None], observability.derivatives(u, orders)[::stride]])
-    values = np.linalg.svd(
-        observability.lie_matrices(system, xs, us, np.zeros(system.n_theta), orders, scaled), compute_uv=False
-    )
+    values = np.linalg.svd(observability.lie_matrices(system, xs, us, np.zeros(system.n_theta), orders, scaled), compute_uv=False)
     along = values / values[:, :1]
     rank = (along > observability.RANK).sum(axis=1)
     S = observability.sensitivity(system, omega, u, observability.DT)
@@ -199,9 +189,7 @@ def judge(estimator, flown: flights.Flight):
     jax = load_jax()
     size = flown.t.shape
     table = [a.reshape(-1, *a.shape[3:]) for a in (flown.u, flown.y)]
-    program = jax.jit(
-        lambda *table: jax.lax.map(lambda flight: tools.stepped(estimator, flight[0], flight[1], tools.losses), table)
-    )
+    program = jax.jit(lambda *table: jax.lax.map(lambda flight: tools.stepped(estimator, flight[0], flight[1], tools.losses), table))
     program = program.lower(*table).compile()
     began = time.process_time()  # not the clock on the wall: other programs may be running
     theta = np.asarray(program(*table))
@@ -224,9 +212,7 @@ def mhe_vs_nlp(system: RateDynamics, flown: flights.Flight) -> float:
     u, y = flown.u[0, 0, 0, rows], flown.y[0, 0, 0, rows]
     quick = MHE(system, flights.DT, nodes=NLP_NODES, bounds=TIGHT)
     valid = jnp.ones(4, bool)
-    carry, _ = jax.jit(lambda u, y: jax.lax.scan(lambda c, r: quick.step(c, r[0], r[1], valid), quick.init(), (u, y)))(
-        u, y
-    )
+    carry, _ = jax.jit(lambda u, y: jax.lax.scan(lambda c, r: quick.step(c, r[0], r[1], valid), quick.init(), (u, y)))(u, y)
     thorough = MHE(system, flights.DT, nodes=NLP_NODES, bounds=TIGHT, iterations=6, active_set=4)
     solve = jax.jit(thorough.solve)
     nodes, force = carry.nodes, carry.force
@@ -268,8 +254,7 @@ def claims(n: dict) -> tuple[Claim, ...]:
     """The paper's claims beside the numbers."""
     cost = n["microseconds_per_step"]
     mean, disturbed = (
-        {e: np.mean([list(n[key][f][e].values()) for f in FAULTS]) for e in ESTIMATORS}
-        for key in ("rmse", "rmse_disturbed")
+        {e: np.mean([list(n[key][f][e].values()) for f in FAULTS]) for e in ESTIMATORS} for key in ("rmse", "rmse_disturbed")
     )
     moving, moving_disturbed = (min(main["proximal"], main["proximal_flush"]) for main in (mean, disturbed))
     count = {key: sum(v[key] for v in n["moving_horizon"].values()) for key in ("better", "worse", "cases")}

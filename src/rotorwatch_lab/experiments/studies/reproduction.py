@@ -193,15 +193,11 @@ def study(paper: str) -> ModuleType:
         return known[paper]
     for name in known:
         if paper in methods(name):
-            raise ConfigError(
-                f"{paper!r} is a method, not a paper; it is tried in {name}: rotorwatch reproduce {name}."
-            )
+            raise ConfigError(f"{paper!r} is a method, not a paper; it is tried in {name}: rotorwatch reproduce {name}.")
     raise ConfigError(f"There is no paper called {paper!r}{meant(paper, known)}; known are {', '.join(known)}.")
 
 
-def reproduce(
-    paper: str, seeds: int | None = None, literal: tuple[str, ...] = (), progress: Callable | None = None
-) -> Reproduction:
+def reproduce(paper: str, seeds: int | None = None, literal: tuple[str, ...] = (), progress: Callable | None = None) -> Reproduction:
     """Run the experiments of a paper.
 
     paper: its name (`studies` lists them). seeds: how many repetitions; None: the study's own number. literal: errata read as printed.
@@ -252,13 +248,7 @@ def kept(folder: Path, module: ModuleType, seeds: int | None, literal: Sequence[
         row = json.loads(path.read_text(encoding="utf-8"))
         stored = tuple(Claim(**claim) for claim in row["claims"])
         result = Reproduction(
-            row["paper"],
-            row["title"],
-            stored,
-            row["figures"],
-            tuple(row["literal"]),
-            row["seeds"],
-            forms=row.get("forms", {}),
+            row["paper"], row["title"], stored, row["figures"], tuple(row["literal"]), row["seeds"], forms=row.get("forms", {})
         )
     except (ValueError, KeyError, TypeError) as error:
         raise ConfigError(f"{path} is no result of a study; delete it, or choose another folder.") from error

@@ -36,9 +36,7 @@ PUSH = np.array([1.0, 1.0, 0.15])  # rad/s^2 that disturb roll, pitch and yaw
 SCALE = np.array([1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 1.0])
 SLACK = 0.05
 SURE = 0.05  # an actuator whose gain is of that size, or less sure than it is large, hardly has to make up for its displacement
-SLOW_SAMPLE_S = (
-    0.08  # loops are stable even when sampled so slowly: room for lags of servos and blades, which the model neglects
-)
+SLOW_SAMPLE_S = 0.08  # loops are stable even when sampled so slowly: room for lags of servos and blades, which the model neglects
 # Position loop: m/s per m, m/s at most, rad/s^2 of velocity, its integral, attitude at most [rad], rad/s per rad of heading, its most
 POSITION, SPEED, VELOCITY, VELOCITY_I, TILT, HEADING, TURN = 0.15, 1.0, 0.5, 0.05, 0.15, 0.2, 0.08
 
@@ -92,10 +90,7 @@ class Designs:
 
     def is_due(self, wanted: tuple, made_for: tuple, loose: float) -> bool:
         """True if the interval (of `key`) is not within the one a controller was designed for, or one side could be tighter by `loose`."""
-        inward = [
-            *(w - m for w, m in zip(wanted[:3], made_for[:3])),
-            *(m - w for w, m in zip(wanted[3:], made_for[3:])),
-        ]
+        inward = [*(w - m for w, m in zip(wanted[:3], made_for[:3])), *(m - w for w, m in zip(wanted[3:], made_for[3:]))]
         return min(inward) < 0 or max(inward) * self.grid > loose - 1e-9
 
     def of(self, key: tuple) -> h_infinity.Synthesis | None:

@@ -25,14 +25,7 @@ CENTRE, REACH = np.repeat([0.5, 0.0], 4), np.repeat([1.0, 0.5], 4)
 START_REACH = np.repeat([0.05, 0.02], 4)
 RANGE = (np.repeat([0.0, -0.25], 4), np.repeat([1.0, 0.25], 4))
 N_X = 6
-LABELS = {
-    "esmf": "ESMF",
-    "aesmf": "GD-ESMF",
-    "aesmf_floor": "GD-ESMF, floor",
-    "aekf": "AEKF",
-    "aukf": "AUKF",
-    "ekf": "EKF, fixed Q",
-}
+LABELS = {"esmf": "ESMF", "aesmf": "GD-ESMF", "aesmf_floor": "GD-ESMF, floor", "aekf": "AEKF", "aukf": "AUKF", "ekf": "EKF, fixed Q"}
 SETS, KALMAN = ("esmf", "aesmf"), ("aekf", "aukf")
 PRINTED: dict[str, Any] = {"form": "batch", "remainder": "interval"}
 FORMS: dict[str, dict[str, Any]] = {
@@ -60,12 +53,9 @@ def by_form(texts: Mapping[str, str]) -> str:
 
 def form_of(literal=()) -> str:
     """The form that these literal readings choose."""
-    return {
-        (True, True): "printed",
-        (True, False): "printed_restart",
-        (False, True): "own_no_restart",
-        (False, False): "own",
-    }["printed" in literal, "no_restart" in literal]
+    return {(True, True): "printed", (True, False): "printed_restart", (False, True): "own_no_restart", (False, False): "own"}[
+        "printed" in literal, "no_restart" in literal
+    ]
 
 
 def filters(system, literal=(), form: str | None = None) -> dict[str, Any]:

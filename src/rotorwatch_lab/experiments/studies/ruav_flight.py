@@ -85,9 +85,7 @@ def closed_loop(system: Helicopter, push, error, extra, fault_step: int = -1) ->
             k, push, error, extra = row
             seen = jnp.concatenate([truth.x, truth.attitude[:2] - ATTITUDE, integral])
             integral = integral + DT * truth.x[np.array([0, 1, 2, 5])] * np.array([1, 1, 1, 0.2])
-            u, truth = truth.moved(
-                system, jnp.clip(system.trim - K @ seen + extra, 0.0, 1.0), push, k == fault_step, FAULT
-            )
+            u, truth = truth.moved(system, jnp.clip(system.trim - K @ seen + extra, 0.0, 1.0), push, k == fault_step, FAULT)
             return (truth, integral), (u, truth.x + error, truth.x, truth.theta)
 
         return lax.scan(step, (Truth.hover(), jnp.zeros(4)), (jnp.arange(len(push)), push, error, extra))[1]

@@ -195,9 +195,7 @@ def _with(estimator, eta, floor):
 
 ROLL_ONLY, TAIL_ONLY = (tuple(ruav_flight.FAULT * np.tile(mask, 2)) for mask in ((0, 0, 0, 1), (0, 1, 0, 0)))
 # What pushes and an attitude that is measured wrongly add to a velocity, in filters' semi-axes, squared: less is no bound.
-SURE_FLOOR = (
-    (1.0 + np.sqrt(2.0) * G0 * DT * ruav_flight.ACCURACY[0] / ruav_flight.PROCESS[0]) / ruav_filters.TOO_WIDE
-) ** 2
+SURE_FLOOR = ((1.0 + np.sqrt(2.0) * G0 * DT * ruav_flight.ACCURACY[0] / ruav_flight.PROCESS[0]) / ruav_filters.TOO_WIDE) ** 2
 VARIED: dict[str, dict[str, dict[str, Any]]] = {
     "aesmf": {
         "roll_only": {"fault": ROLL_ONLY},
@@ -237,8 +235,7 @@ def flight_test(literal: tuple[str, ...] = (), progress=silent) -> tuple[dict, d
     flown = {name: one(name, "the paper's") for name in ("aesmf", "aekf")}
     seen = {name: judged(flight) for name, flight in flown.items()}
     forms = {
-        form: seen["aesmf"] if form == chosen else judged(one("aesmf", ruav_filters.FORM_LABELS[form], form))
-        for form in ruav_filters.FORMS
+        form: seen["aesmf"] if form == chosen else judged(one("aesmf", ruav_filters.FORM_LABELS[form], form)) for form in ruav_filters.FORMS
     }
     varied = {
         name: {label: _short(judged(one(name, label.replace("_", " "), **setting))) for label, setting in these.items()}
@@ -296,8 +293,7 @@ def claims(numbers: dict, chosen: str = "own") -> tuple[tuple[Claim, ...], dict]
     decay = min(one["decay_per_s"] for one in norms)
     sets: dict[str, Verdict] = {
         label: graded(
-            numbers["forms"][form]["stable_after"] and not (form == chosen and lost["aesmf"]),
-            numbers["forms"][form]["stable_after"],
+            numbers["forms"][form]["stable_after"] and not (form == chosen and lost["aesmf"]), numbers["forms"][form]["stable_after"]
         )
         for form, label in ruav_filters.FORM_LABELS.items()
     }

@@ -109,10 +109,7 @@ def _truth(system, u, y):
     over the records' mean commands and states, and each command's column is that of the record in which it was swept."""
     jax = load_jax()
     slopes = jax.jit(jax.jacfwd(system.derivative, (0, 1)))
-    linearised = [
-        slopes(x, np.concatenate([U, ATTITUDE]), np.zeros(8))
-        for x, U in zip(y.mean(axis=1), u.mean(axis=1), strict=True)
-    ]
+    linearised = [slopes(x, np.concatenate([U, ATTITUDE]), np.zeros(8)) for x, U in zip(y.mean(axis=1), u.mean(axis=1), strict=True)]
     A = np.mean([np.asarray(by_x) for by_x, _ in linearised], axis=0)
     return A, np.stack([np.asarray(by_u)[:, k] for k, (_, by_u) in enumerate(linearised)], axis=1)
 
@@ -143,9 +140,7 @@ def _equation_error(d, H, used, states, inputs) -> np.ndarray:
         columns += [np.tile(np.eye(4)[inputs[1][k]], rows.sum()) for k in of_u]
         table = np.stack(columns, axis=1)
         b = target[rows][:, axis].ravel()
-        answer = np.linalg.lstsq(
-            np.concatenate([np.real(table), np.imag(table)]), np.concatenate([np.real(b), np.imag(b)]), rcond=None
-        )[0]
+        answer = np.linalg.lstsq(np.concatenate([np.real(table), np.imag(table)]), np.concatenate([np.real(b), np.imag(b)]), rcond=None)[0]
         parameters[np.concatenate([of_x, len(states[0]) + of_u])] = answer
     return parameters
 
@@ -203,9 +198,7 @@ def numbers(identified: Identified) -> dict:
     return {
         "parameters": {
             name: {"value": v, "half_interval": SURE * s, "truth": t}
-            for name, v, s, t in zip(
-                identified.names, identified.value, identified.deviation, identified.truth, strict=True
-            )
+            for name, v, s, t in zip(identified.names, identified.value, identified.deviation, identified.truth, strict=True)
         },
         "intervals_hold": float(held.mean()),
         "held": int(held.sum()),
@@ -248,9 +241,7 @@ def figure(identified: Identified):
     drawn, axes = panels(2, 4, (12, 6))
     measured, ahead = predicted(identified)
     seconds = DT * np.arange(10 * measured.shape[2])
-    for top, below, (name, state, command) in zip(
-        *axes, (("w", 2, 0), ("r", 5, 1), ("q", 4, 2), ("p", 3, 3)), strict=True
-    ):
+    for top, below, (name, state, command) in zip(*axes, (("w", 2, 0), ("r", 5, 1), ("q", 4, 2), ("p", 3, 3)), strict=True):
         used = identified.used[:, state]
         top.loglog(identified.omega[used], np.abs(identified.H[used, state, command]), "C0.", ms=3, label="measured")
         top.loglog(identified.omega, np.abs(model[:, state, command]), "C1", lw=1.0, label="model")

@@ -150,7 +150,4 @@ def adversarial_escapes(seeds: int) -> int:
 
 def mutation_escapes(seeds: int) -> dict[str, int]:
     """Escapes of deliberately wrong filters: each must lose the truth, or the check proves nothing."""
-    return {
-        name: sum(escapes(system, seeds, **change) for system in (VanDerPol(), Pendulum()))
-        for name, change in MUTATIONS.items()
-    }
+    return {name: sum(escapes(system, seeds, **change) for system in (VanDerPol(), Pendulum())) for name, change in MUTATIONS.items()}

@@ -57,9 +57,7 @@ class AsPrinted:
         from jax import numpy as jnp
 
         s, n = self.system, self.system.n_theta
-        return Carry(
-            jnp.asarray(s.x0), jnp.asarray(s.P0), jnp.zeros(n), jnp.asarray(self.P0_gamma), jnp.zeros((s.n_x, n))
-        )
+        return Carry(jnp.asarray(s.x0), jnp.asarray(s.P0), jnp.zeros(n), jnp.asarray(self.P0_gamma), jnp.zeros((s.n_x, n)))
 
     def step(self, carry: Carry, u, y) -> tuple[Carry, Array]:
         """Predict and update with input u (n_u,) and measurement y (n_y,); returns the carry and gamma (n_theta,)."""

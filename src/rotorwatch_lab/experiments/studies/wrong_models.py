@@ -63,9 +63,7 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
     u, y = hover_flights.uncertain(known, [_real(file, *case) for case in cases], gamma, wind, air, LEVER)
     theta, faults, x = watch(u, y)
     fault, xi = unmodelled(known, u, y, gamma)
-    flights = {
-        str(k): (y[k] - x[k], fault[k] - faults[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))
-    }
+    flights = {str(k): (y[k] - x[k], fault[k] - faults[k, :, 4:], fault[k], xi[k], (1, ONSET + 1)) for k in range(len(u))}
     bounds = error_bound.compare(flights, 1.0, gains, epsilon)["flights"]
     off = np.abs(theta - gamma).max(axis=2)
     rows = []
@@ -76,9 +74,7 @@ def grid(file: dict, watch: Callable, gains: tuple[float, float], epsilon: float
         ends = {"healthy": float(off[k, ONSET - WINDOW : ONSET].max()), "weak": float(off[k, -WINDOW:].max())}
         late = np.flatnonzero(off[k, ONSET:] > BAND)
         settled = None if late.size and late[-1] == SAMPLES - ONSET - 1 else DT * (late[-1] + 1 if late.size else 0)
-        rows.append(
-            {"wrong": kind, "size": size, "settle_s": settled, **ends, "losses": theta[k, -WINDOW:].mean(axis=0), **row}
-        )
+        rows.append({"wrong": kind, "size": size, "settle_s": settled, **ends, "losses": theta[k, -WINDOW:].mean(axis=0), **row})
     return {"rows": rows, "onset_s": DT * ONSET, "drag": DRAG, "lever": LEVER}
 
 
@@ -133,32 +129,16 @@ def claims(result: dict) -> tuple[Claim, ...]:
     rows = result["rows"]
     held = sum(row["held"] for row in rows)
     off = {kind: worst(result, kind) for kind in GRID}
-    ten = {
-        kind: worst(result, kind, size)
-        for kind, size in (("mass", 0.1), ("thrust", -0.1), ("one thrust", -0.1), ("wind", 5.0))
-    }
-    examples = {
-        kind: next(r for r in rows if (r["wrong"], r["size"]) == (kind, size))
-        for kind, size in (("mass", 0.1), ("wind", 5.0))
-    }
+    ten = {kind: worst(result, kind, size) for kind, size in (("mass", 0.1), ("thrust", -0.1), ("one thrust", -0.1), ("wind", 5.0))}
+    examples = {kind: next(r for r in rows if (r["wrong"], r["size"]) == (kind, size)) for kind, size in (("mass", 0.1), ("wind", 5.0))}
     harmless = off["inertia"] < BAND and off["drag factor"] < BAND
-    verdicts = {
-        "uncertain_bounded": graded(held == len(rows)),
-        "uncertain_losses": graded(max(off.values()) < BAND, harmless),
-    }
+    verdicts = {"uncertain_bounded": graded(held == len(rows)), "uncertain_losses": graded(max(off.values()) < BAND, harmless)}
     return reproduction.claims("intermediate", verdicts, held=held, of=len(rows), off=off, ten=ten, shown=examples)
 
 
 def table(result: dict) -> Table:
     """A row for every case."""
-    head = (
-        "what is wrong",
-        "largest error of a loss",
-        "within 0.02 after, s",
-        "errors reached",
-        "bound",
-        "with the best epsilon",
-    )
+    head = ("what is wrong", "largest error of a loss", "within 0.02 after, s", "errors reached", "bound", "with the best epsilon")
     rows = []
     for r in result["rows"]:
         settled = "never" if r["settle_s"] is None else f"{r['settle_s']:.1f}"

@@ -115,9 +115,7 @@ class HelicopterAircraft:
         target, integral = control.outer(plan.pilot, reference, state.body, state.integral, dt)
         return Moment(target, Air(blowing, turning, 0.0 * reference.yaw)), integral
 
-    def step(
-        self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, actuators: Actuators, dt: float
-    ) -> tuple:
+    def step(self, plan: Plan, now: Moment, t, body: Body, gyro, loops: Loops, actuators: Actuators, dt: float) -> tuple:
         """Inner loops and allocation, faults, actuators and body."""
         jnp = load_jax().numpy
         system = dynamics.plant(airframes.paper(self.frame), plan.mass)
