@@ -122,7 +122,7 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         verdict = "ambiguous" if event.alternatives else "crashed" if _crashed(event) else "inconclusive"
         return verdict, f"{event.reason}. {_cleared(seen, event)}".strip()
     if event is not None and not event.alternatives:
-        reason = said(event.means.reason, event, comma_until=_until(seen, event, ", until")).removesuffix(": ")
+        reason = _what_happened(seen, event)
         return "fault", reason + _others(seen, event) + _open(seen) + "."
     if whole and whole["verdict"] == "fault":
         return "fault", whole["reason"]

@@ -10,15 +10,7 @@ outliers.py   outputs that contradict those before and after
 requests.py   requests to a vehicle: parameters, rates, identity
 link.py       one endpoint: its frames by vehicle, recorded
 replay.py     a recorded flight instead of a link
-window.py     the last seconds of a vehicle's signals
-stream.py     samples to the diagnoser of `diagnose`, piece by piece
-account.py    rewind of the diagnoser to an impact that is found later
-beginnings.py losses in the blind time, found in a second pass
-control.py    loss of control: ten minutes of samples to losses of control and their causes
-reported.py   the autopilot's reports, and quantities beyond limits
-trust.py      whether the link shows the real flight
-judge.py      the diagnoser's records to claims
-session.py    one vehicle's stream, judge and loss of control
+session.py    one vehicle: its case, and its state in words
 rotors.py     ESC telemetry of a flying vehicle
 changes.py    changes of the list of events
 watched.py    one vehicle, its alerts so far, and the health of its link

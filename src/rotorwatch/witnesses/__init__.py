@@ -1,5 +1,6 @@
-"""Evidence beside the estimator: each module examines one source, and answer/ledger.py merges their claims.
+"""Evidence beside the estimator: each module examines one source and registers itself; answer/ledger.py merges their claims.
 
+witness.py               the interface of a witness, and all that are registered
 hindsight.py             losses in the blind time, once the flight's gains and noise are known
 excitation_response.py   the response to an excitation of the commands
 attainable.py            every thrust and moment that a vehicle can still give, and its margins in hover
