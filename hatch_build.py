@@ -56,7 +56,7 @@ class ShippedCode(BuildHookInterface):
         self._folder = Path(tempfile.mkdtemp(prefix="rotorwatch-ship-"))
         options = ["--portable"] if self.portable else []
         done = subprocess.run(
-            [sys.executable, "-m", "rotorwatch.engine.host.shipping", str(self._folder / "built"), *options],
+            [sys.executable, "-m", "rotorwatch.engine.bindings.shipping", str(self._folder / "built"), *options],
             env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(self.root) / "src"), *_paths()])},
             capture_output=True, text=True, check=False,
         )  # fmt: skip

@@ -17,11 +17,11 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S
+from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import JUDGE, READY_S
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
 from rotorwatch_lab.experiments.inject import inject
@@ -34,7 +34,7 @@ def found(flight, vehicle, air):
     ticks = observe(flight, vehicle, air, READY_S)
     assert ticks is not None
     table, out = judge.estimate(flight, vehicle, air, ticks)
-    return events.read(out, table, vehicle.effectiveness()), float((table.mode == JUDGE).sum() * table.dt)
+    return event_rows.read(out, table, vehicle.effectiveness()), float((table.mode == JUDGE).sum() * table.dt)
 
 
 def surrogate(known: judge.Blocks, rng: np.random.Generator) -> judge.Blocks:

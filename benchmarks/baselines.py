@@ -25,7 +25,7 @@ from pathlib import Path
 
 from rotorwatch import logs
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.front.decisions import MENTIONED
+from rotorwatch.engine.events.decisions import MENTIONED
 from rotorwatch.errors import VehicleError
 from rotorwatch.witnesses.healthy import whole_flight
 from rotorwatch.witnesses.healthy.baselines import Candidate, healthy

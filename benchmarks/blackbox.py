@@ -30,7 +30,7 @@ from pathlib import Path
 from rotorwatch import logs
 from rotorwatch.base.compiling.running import Definition
 from rotorwatch.errors import LogError
-from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
+from rotorwatch.logs.blackbox import decoder, encodings, frame_sizes, frames, header
 
 LOGS = Path(__file__).resolve().parents[1].parent / "shared" / "flights" / "blackbox"
 OPEN = {".xz": lzma.open, ".gz": gzip.open, ".bz2": bz2.open}
@@ -84,7 +84,7 @@ def chirp_core(data: bytes, path: Path) -> int:
 
 
 NATIVE = decoder.BLACKBOX
-PLAIN = Definition("blackbox", (encodings, frames), sizes, decoder.FILES)
+PLAIN = Definition("blackbox", (encodings, frames), frame_sizes, decoder.FILES)
 PLAIN.__dict__["library"] = None
 
 

@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
+from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.host import program
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_S
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, READY_S
 from rotorwatch_lab.experiments import limits
 
 RATES_HZ = (10.0, 25.0, 50.0, 100.0, 400.0, 1000.0)

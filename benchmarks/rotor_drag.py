@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from rotorwatch import airframes, logs
+from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator.plant import DRAG
-from rotorwatch.engine.host import program
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import GROUND, READY_S
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import GROUND, READY_S
 from rotorwatch.errors import RotorwatchError
 
 MEAN_S, BLOCK_S, LEAST_S, TURNS = 5.0, 0.5, 30.0, 3.0

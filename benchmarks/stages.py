@@ -34,7 +34,7 @@ STAGES = {
     "reading": ("/logs/", "/gathering.py"),
     "airborne": ("/engine/motion/airborne.py",),
     "mixer": ("/engine/motion/",),
-    "estimator": ("/engine/diagnoser.py", "/engine/host/"),
+    "estimator": ("/engine/diagnoser.py", "/engine/bindings/"),
     "witnesses": ("/witnesses/", "/detectors/"),
     "answer": ("/answer/", "/diagnose.py", "/report/", "/diagnose_many.py", "/airframes/"),
 }

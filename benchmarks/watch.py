@@ -154,7 +154,7 @@ def main() -> None:
         starts(options.flight, options.starts)
         return
     from rotorwatch import airframes
-    from rotorwatch.engine.host import program
+    from rotorwatch.engine.bindings import program
     from rotorwatch.live import endpoint, link
 
     program.steps(0.05, airframes.named("ardupilot-quad-x").effectiveness())  # built beforehand

@@ -14,12 +14,12 @@ import numpy as np
 
 import rotorwatch as rw
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.plant_rows import AXES
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.host import program
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.plant import AXES
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch_lab.experiments.inject import inject
 
 ROTOR, LOSS, ONSET = 2, 0.35, 45.0

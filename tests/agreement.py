@@ -18,7 +18,7 @@ from rotorwatch import report
 from rotorwatch.flight.diagnosis import EXIT_CODES
 from rotorwatch.flight.kinds import DESYNC, LOSS, OVERRIDE
 from rotorwatch.report import blocks, colours, drawing, figures, html, sections, terminal
-from rotorwatch.report.sections import health as health_section
+from rotorwatch.report.sections import grades as health_section
 
 WIDTHS = (40, 80, 200)
 EPS = 1.01e-4  # numbers in the JSON are rounded to four digits

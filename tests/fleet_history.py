@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.fleet.explain import Series
+from rotorwatch.fleet.attribution import Series
 
 
 def columns(n: int) -> np.ndarray:

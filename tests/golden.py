@@ -28,7 +28,7 @@ from tests.onboard_law import events_in_c, flown
 
 from rotorwatch import diagnose, logs
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.motion import ticks
+from rotorwatch.engine.motion import tick_table
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import kinds
 from rotorwatch.gathering import Gathered
@@ -80,7 +80,7 @@ def _link(flight, told) -> dict:
 
 def _board(flight, told) -> dict:
     what = flown(flight)
-    if what.dt > ticks.SHORTEST_S / 2.0:
+    if what.dt > tick_table.SHORTEST_S / 2.0:
         raise ValueError("too slow for on board")
     with tempfile.TemporaryDirectory() as folder:
         rows, verdict, _ = events_in_c(Path(folder), what)

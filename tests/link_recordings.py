@@ -7,7 +7,7 @@ import struct
 from pathlib import Path
 
 from rotorwatch.live.endpoint import Endpoint
-from rotorwatch.live.frames import V2
+from rotorwatch.live.framing import V2
 from rotorwatch.live.link import Link
 
 STEP_S = 0.04

@@ -46,11 +46,11 @@ BY_HAND, HAND = Path(__file__).with_name("mutants_by_hand.toml"), "by hand"
 # Parts of the package, their files, and the share of the sample that each gets.
 PARTS: dict[str, tuple[tuple[str, ...], float]] = {
     "readers": (("logs/*.py",), 0.25),
-    "motion": (("engine/motion/allocation.py", "engine/motion/ticks.py"), 0.15),
+    "motion": (("engine/motion/allocation.py", "engine/motion/tick_table.py"), 0.15),
     "campaign": (("rotorwatch_lab/campaign/score.py", "rotorwatch_lab/campaign/summary.py", "rotorwatch_lab/campaign/sequences.py"), 0.15),
     "report": (("report/*.py", "report/sections/*.py"), 0.13),
     "estimators": (("rotorwatch_lab/estimators/*.py",), 0.15),
-    "default": (("engine/host/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
+    "default": (("engine/bindings/*.py", "engine/estimator/*.py", "witnesses/*.py"), 0.17),
 }
 
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
@@ -58,14 +58,14 @@ NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
     "logs/__init__.py": ("logs_open",),
-    "logs/crazyflie.py": ("logs_crazyflie",),
+    "logs/crazyflie_log.py": ("logs_crazyflie",),
     "logs/dataflash_esc.py": ("esc_readers", "dataflash"),
     "logs/dataflash_text.py": ("dataflash_pymavlink", "dataflash_old", "dataflash"),
     "logs/dataflash_binary.py": ("dataflash", "dataflash_damage", "dataflash_pymavlink"),
     "logs/dataflash*.py": ("dataflash", "dataflash_old", "dataflash_damage"),
     "logs/table.py": ("logs_table",),
     "logs/parquet_pages.py": ("logs_table",),
-    "logs/memory.py": ("logs_table", "logs_px4"),
+    "logs/log_memory.py": ("logs_table", "logs_px4"),
     "logs/*esc*.py": ("esc_readers",),
     "logs/mavlink_frames.py": ("logs_tlog",),
     "logs/mavlink_messages.py": ("link_frames", "logs_tlog"),
@@ -81,9 +81,9 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/cdr.py": ("logs_ros2",),
     "logs/mavros.py": ("logs_ros2",),
     "logs/ros2*.py": ("logs_ros2",),
-    "engine/host/shipping.py": ("shipped",),
-    "engine/front/mixer.py": ("front_mixer", "allocation"),
-    "engine/front/sense.py": ("ticks", "allocation"),
+    "engine/bindings/shipping.py": ("shipped",),
+    "engine/intake/mixer.py": ("front_mixer", "allocation"),
+    "engine/intake/sense.py": ("ticks", "allocation"),
     "report/__init__.py": ("words",),
     "report/colours.py": ("figures",),
     "report/html.py": ("figures", "words"),
@@ -92,7 +92,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/sections/all_rotors.py": ("all_rotors",),
     "report/sections/*.py": ("sections", "figures", "words"),
     "report/*.py": ("report",),
-    "engine/front/losses.py": ("hypotheses", "announcement", "events"),
+    "engine/events/losses.py": ("hypotheses", "announcement", "events"),
     "engine/estimator/known.py": ("limits",),
     "engine/estimator/*.py": ("default_estimator", "engine"),
     "rotorwatch_lab/estimators/__init__.py": ("architecture",),
@@ -107,8 +107,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/estimators/esmf.py": ("aesmf",),
     "rotorwatch_lab/estimators/lyapunov.py": ("lyapunov_mhe",),
     "rotorwatch_lab/estimators/mh*.py": ("lyapunov_mhe",),
-    "engine/host/default.py": ("laws",),
-    "engine/host/program.py": ("coaxial_share",),
+    "engine/bindings/default.py": ("laws",),
+    "engine/bindings/program.py": ("coaxial_share",),
 }
 
 # Of what Cosmic Ray can do, changes that programmers make: one opposite for each operator, not all eleven.

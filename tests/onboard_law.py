@@ -8,12 +8,12 @@ import numpy as np
 from tests.embedded_c_parts import STRICT
 
 from rotorwatch import airframes
-from rotorwatch.engine.motion import allocation, ticks
-from rotorwatch.engine.motion.airborne import output_range
+from rotorwatch.engine.motion import allocation, tick_table
+from rotorwatch.engine.motion.flights import output_range
 from rotorwatch.export import export_diagnoser
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
-# Of the same time, in the order of engine/front/front.py.
+# Of the same time, in the order of engine/intake/front.py.
 FIRST = {BATTERY: 0, OUTPUTS: 1, CONTROL: 2, GYRO: 3, ACCEL: 4, VELOCITY: 5, STATE: 6, ATTITUDE: 7}
 WIDTH = 24
 COMMON = """#include "rw_diagnoser.h"
@@ -133,15 +133,15 @@ def flown(flight) -> Flown:
     """The flight, and the library for its vehicle and its rates."""
     craft = airframes.identify(flight)
     dynamics = (craft.identified or {}).get("dynamics")
-    ready_s = ticks.READY_KNOWN_S if dynamics and flight.has("gyro") else ticks.READY_S
+    ready_s = tick_table.READY_KNOWN_S if dynamics and flight.has("gyro") else tick_table.READY_S
     mixed = allocation.mixed_thrusts(flight, craft)
     thrust = allocation.better(allocation.motor_thrusts(flight, craft), mixed)
-    plan = ticks.plan(flight, thrust, ready_s)
+    plan = tick_table.plan(flight, thrust, ready_s)
     rates = [fastest(flight, name) for name in ("motors", "gyro" if flight.has("gyro") else "rates", "accel")]
     headroom = flight.parameters.get("MOT_YAW_HEADROOM", allocation.YAW_HEADROOM)
     tables = (
         export_diagnoser.vehicle_table(craft, output_range(flight), headroom),
-        ticks.table(plan, ticks.known_hover(craft), mixed is not None),
+        tick_table.table(plan, tick_table.known_hover(craft), mixed is not None),
     )
     last = flight["motors"].time[np.asarray(flight["motors"].valid).any(axis=1)][-1]
     texts = export_diagnoser.files(craft, plan, (rates[0], rates[1], rates[2]), tables)
@@ -181,7 +181,7 @@ def on_board(flight, hz: float) -> Flown:
     plan = export_diagnoser.usual_plan(outputs, control, moves, moves, bool(known.get("dynamics")))
     headroom = flight.parameters.get("MOT_YAW_HEADROOM", allocation.YAW_HEADROOM)
     vehicle = export_diagnoser.vehicle_table(craft, output_range(flight), headroom)
-    tables = vehicle, ticks.table(plan, ticks.known_hover(craft), control >= 1.5 * outputs)
+    tables = vehicle, tick_table.table(plan, tick_table.known_hover(craft), control >= 1.5 * outputs)
     # Room for more than comes on the average: samples of a log come in bursts.
     texts = export_diagnoser.files(craft, plan, (hz, 2.0 * hz, 2.0 * hz), tables)
     return Flown(looped(raw, hz), float(raw[-1, 1]), texts, plan.dt)

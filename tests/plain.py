@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rotorwatch.base.compiling import running, structs
+from rotorwatch.engine.bindings import program
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.hypotheses import NOTHING
 from rotorwatch.engine.estimator.plant import THETA, Inputs, Plant, Rows, rows, set_plant
-from rotorwatch.engine.host import program
 
 S = TypeVar("S", bound=structs.Struct)
 
@@ -66,7 +66,7 @@ def logs(nats: Any, weight: Any) -> np.ndarray:
 
 
 def tick(u: np.ndarray, n: int) -> Inputs:
-    """A row (n + 13,) of inputs, as `engine.host.plant.packed` lays them out."""
+    """A row (n + 13,) of inputs, as `engine.bindings.plant.packed` lays them out."""
     return made(
         Inputs, thrust=u[:n], turn=u[n : n + 3], load=u[n + 3], rate=u[n + 4 : n + 7], forward=u[n + 7], right=u[n + 8],
         full=u[n + 9], expo=u[n + 10], expo_sd=u[n + 11], axial=np.nan_to_num(u[n + 12]), valid=np.ones(4, bool),

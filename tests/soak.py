@@ -22,7 +22,7 @@ import numpy as np
 from tests.link_faults import Wire, base
 from tests.mavlink_vehicle import Autopilot, mavlink
 
-from rotorwatch.live.frames import seeds, sums
+from rotorwatch.live.framing import seeds, sums
 from rotorwatch.live.link import Link
 from rotorwatch.serve import live
 from rotorwatch.serve.flights import Flights

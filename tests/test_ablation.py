@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from rotorwatch.commands import cli
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
-from rotorwatch.engine.front import decisions, losses
-from rotorwatch.engine.host import program
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.engine.events import decisions, losses
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.campaign import ablation
 from rotorwatch_lab.campaign.constants import TABLE

@@ -8,9 +8,9 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.calibrate import calibrate
+from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.ticks import JUDGE, READY_S
+from rotorwatch.engine.motion.tick_table import JUDGE, READY_S
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond
@@ -73,7 +73,7 @@ def flights(seconds=60.0, gust=0.03):
 def judged(flight):
     """Losses of a flight in the air from 2 to 59 s."""
     table, out = judge.estimate(flight, CRAFT, ALOFT, observe(flight, CRAFT, ALOFT, READY_S))
-    return events.read(out, table, B), table, out
+    return event_rows.read(out, table, B), table, out
 
 
 @pytest.fixture(scope="module")

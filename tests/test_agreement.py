@@ -10,7 +10,7 @@ import pytest
 import rotorwatch as rw
 from agreement import walk
 from conftest import hexa_diagnosis, hexa_event, hexa_trace
-from rotorwatch.engine.host import residual_evidence
+from rotorwatch.engine.bindings import residual_evidence
 from test_conclusion import whole
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose, logs
-from rotorwatch.engine.motion.airborne import CONFIRM_S, MOST_GAP_S, airborne, gaps
+from rotorwatch.engine.motion.flights import CONFIRM_S, MOST_GAP_S, airborne, gaps
 from rotorwatch.flight import Flight, Message, Signal
-from rotorwatch.logs.memory import from_arrays
+from rotorwatch.logs.log_memory import from_arrays
 from rotorwatch_lab.simulation import scenario, simulate
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"

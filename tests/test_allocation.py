@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose, logs
-from rotorwatch.engine.front import deviations, mixer
-from rotorwatch.engine.front.vehicle import Vehicle
+from rotorwatch.engine.intake import deviations, mixer
+from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.deviations import overrides
+from rotorwatch.engine.motion.overrides import overrides
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
 

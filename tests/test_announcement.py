@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from tests.plain import filled, made
 
+from rotorwatch.engine.bindings import program
 from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.estimator.announcement import ABSORB_S, EDGE, TICKS, Alarm
 from rotorwatch.engine.estimator.hypotheses import CLEAR, PAIR, PAIR_WEIGHT, SINGLE, STUCK_WEIGHT
 from rotorwatch.engine.estimator.noise import MEMORY_S
 from rotorwatch.engine.estimator.plant import USUAL_S, Plant
-from rotorwatch.engine.front.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.host import program
+from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
 N, DT, LIMIT, REACH = 4, 0.05, 14.0, 64.0
 MUCH = UNDECIDED = CLEAR

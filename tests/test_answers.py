@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 import rotorwatch as rw
-from rotorwatch.engine.front.decisions import MATTERS
+from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.report import terminal
-from rotorwatch.report.sections import health
+from rotorwatch.report.sections import grades
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
 LOGS = (
@@ -58,7 +58,7 @@ def test_an_answer_says_what_is_known_and_why_no_more_is(answer):
     assert REASONS.get(name, "") in answer.headline
     for text in (answer.headline, answer.reason, printed(answer)):
         assert not [pattern for pattern in NEVER if re.search(pattern, " ".join(text.split()))]
-    assert not health.rows(answer) or any("not judged" not in row for row in health.rows(answer))
+    assert not grades.rows(answer) or any("not judged" not in row for row in grades.rows(answer))
 
 
 @pytest.mark.parametrize(("matters", "verdict"), [(0.2, "healthy"), (0.001, "inconclusive")])

@@ -23,11 +23,11 @@ MOST_LINES = 600
 # What must not be imported, and the contract of pyproject.toml that forbids it.
 FORBIDDEN = (
     ("rotorwatch/flight/flight.py", "rotorwatch.logs", "Layers: a package"),
-    ("rotorwatch/logs/series.py", "rotorwatch.engine.motion.ticks", "Layers: a package"),
-    ("rotorwatch/detectors/esc_current.py", "rotorwatch.engine.host.default", "Detectors know"),
+    ("rotorwatch/logs/series.py", "rotorwatch.engine.motion.tick_table", "Layers: a package"),
+    ("rotorwatch/detectors/esc_current.py", "rotorwatch.engine.bindings.default", "Detectors know"),
     ("rotorwatch/airframes/px4.py", "rotorwatch.commands.cli", "Layers: a package"),
     ("rotorwatch/diagnose.py", "rotorwatch_lab.published.decide", "The product does not know"),
-    ("rotorwatch_lab/estimate.py", "rotorwatch.engine.motion.ticks", "The laboratory uses"),
+    ("rotorwatch_lab/estimate.py", "rotorwatch.engine.motion.tick_table", "The laboratory uses"),
     ("rotorwatch_lab/simulation/faults.py", "rotorwatch_lab.campaign.plan", "Layers of the laboratory"),
     ("rotorwatch_lab/experiments/tools.py", "rotorwatch_lab.experiments.inject", "Inside the experiments"),
     ("rotorwatch/diagnose.py", "rotorwatch.calibrate", "Inside the healthy"),
@@ -35,7 +35,7 @@ FORBIDDEN = (
     ("rotorwatch/answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
     ("rotorwatch_lab/published/log_plant.py", "rotorwatch_lab.published.published", "Inside the published"),
     ("rotorwatch_lab/compiling/native.py", "rotorwatch_lab.compiling.run", "Inside the compiling"),
-    ("rotorwatch/engine/motion/airborne.py", "rotorwatch.engine.motion.ticks", "Inside motion"),
+    ("rotorwatch/engine/motion/flights.py", "rotorwatch.engine.motion.tick_table", "Inside motion"),
     ("rotorwatch/flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("rotorwatch_lab/estimators/planted.py", "rotorwatch_lab.estimators.ekf", "Estimators do not"),
     ("rotorwatch_lab/systems/planted.py", "rotorwatch_lab.systems.rate_dynamics", "Plants do not"),

@@ -9,7 +9,7 @@ from tests.plain import plant as plant_of
 
 from rotorwatch.engine.estimator import plant
 from rotorwatch.engine.estimator.plant import AIR
-from rotorwatch.engine.front.ticks import JUDGE, LEARN
+from rotorwatch.engine.intake.ticks import JUDGE, LEARN
 from test_default_estimator import DT, EXPO, FULL, KNOWN_NOISE, make
 from test_plant import QUAD
 

@@ -5,10 +5,10 @@ import pytest
 from tests.plain import array, copied, lower, made, plant
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings.program import square
 from rotorwatch.engine.estimator.bank import DAMPING_ERROR, FIRST_LOSS, GROUP, LONG, SHORT, YAW_ERROR, Bank, Observed, Slots, Window
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.plant import ANSWER_S, B3, DAMPING, PER_AXIS, SIDEWAYS, THETA, YAW_GAIN, Rows
-from rotorwatch.engine.host.program import square
 
 B = airframes.named("ardupilot-quad-x").effectiveness()
 N, DT, TICKS, FIRST = 4, 0.05, 70, 6

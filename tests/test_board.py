@@ -15,8 +15,8 @@ from tests import board
 from rotorwatch import logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.front.texts import EVERY_S
-from rotorwatch.engine.front.words import NOTICE, WARNING
+from rotorwatch.engine.events.texts import EVERY_S
+from rotorwatch.engine.events.words import NOTICE, WARNING
 from rotorwatch.errors import RotorwatchError
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"

@@ -5,7 +5,7 @@ import pytest
 
 from browser_tab import Tab, launched
 from fleet_history import columns, row, wrench
-from rotorwatch.fleet import Entry, Store, assess, pages
+from rotorwatch.fleet import Entry, Store, assess, fleet_pages
 
 NAME = "CubeOrangePlusWithALongNameOfAnAircraft-3334"
 
@@ -27,7 +27,7 @@ def test_pages_of_a_fleet_fit_a_phone(tmp_path, chromium, looks):
             )  # fmt: skip
         store.service(NAME, 2, "new_propeller_with_a_long_description_that_has_no_spaces_in_it", after=5)
         assess.refresh(store)
-        made = pages.write(store, tmp_path / "pages")
+        made = fleet_pages.write(store, tmp_path / "pages")
     with launched(chromium) as browser:
         for path in made:
             tab = Tab(browser, path.as_uri(), viewport={"width": 390, "height": 844}, **looks)

@@ -9,7 +9,7 @@ import pytest
 import rotorwatch
 from rotorwatch.base import backend
 from rotorwatch.base.compiling import toolchain
-from rotorwatch.engine.motion.ticks import LEARN
+from rotorwatch.engine.motion.tick_table import LEARN
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import batch, methods, score, work
 from rotorwatch_lab.compiling import run

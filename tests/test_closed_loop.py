@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rotorwatch.engine.estimator.sizes import PLACES
-from rotorwatch.engine.host import program
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.estimator.estimator_sizes import PLACES
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.campaign import batch, closed_loop, plan, store
 from rotorwatch_lab.control import spinning

@@ -8,9 +8,9 @@ from tests.plain import array, measured
 from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import event_rows, program
+from rotorwatch.engine.bindings.plant_rows import lower_rotors
 from rotorwatch.engine.estimator.plant import SHARE, SHARE_SD, THETA
-from rotorwatch.engine.host import events, program
-from rotorwatch.engine.host.plant import lower_rotors
 
 
 @pytest.mark.parametrize("frame, lower", [("y6", (0, 2, 3)), ("octaquad-x", (4, 5, 6, 7)), ("hexa-x", ()), ("quad-x", ())])
@@ -65,5 +65,5 @@ def test_the_share_is_learned_where_motion_shows_it():
 
 def test_sizes_on_coaxial_frames_carry_what_is_unknown_of_the_share():
     y6, hexa = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("y6", "hexa-x"))
-    plain, coaxial = (float(events.sd_of(np.array(0.5), np.array(0.01), B)) for B in (hexa, y6))
-    assert coaxial > 1.2 * plain and plain == pytest.approx(float(events.sd_of(np.array(0.5), np.array(0.01), hexa)))
+    plain, coaxial = (float(event_rows.sd_of(np.array(0.5), np.array(0.01), B)) for B in (hexa, y6))
+    assert coaxial > 1.2 * plain and plain == pytest.approx(float(event_rows.sd_of(np.array(0.5), np.array(0.01), hexa)))

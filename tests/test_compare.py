@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.commands import cli
-from rotorwatch.engine.host import program
-from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.experiments.studies import compare as study

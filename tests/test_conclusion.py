@@ -9,7 +9,7 @@ from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer import from_takeoff
 from rotorwatch.answer.conclusion import Evidence, conclude, main_event
 from rotorwatch.answer.wording import up_to
-from rotorwatch.engine.host import residual_evidence
+from rotorwatch.engine.bindings import residual_evidence
 from rotorwatch.engine.motion import trust
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from rotorwatch import diagnose
 from rotorwatch.base.compiling.running import Rows
-from rotorwatch.engine.front import contact as definition
-from rotorwatch.engine.front import sense
-from rotorwatch.engine.front.vehicle import Vehicle
-from rotorwatch.engine.motion import contact
+from rotorwatch.engine.intake import contact as definition
+from rotorwatch.engine.intake import sense
+from rotorwatch.engine.intake.craft import Vehicle
+from rotorwatch.engine.motion import knocks
 from rotorwatch_lab.simulation import scenario, simulate
 
 WILD = Path(__file__).resolve().parents[2] / "shared" / "flights" / "wild"
@@ -28,7 +28,7 @@ def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=
     side, load = np.zeros((T, 2)) if side is None else side, np.ones(T) if load is None else load
     thrust, zeros = np.ones((T, N)) if thrust is None else thrust, np.zeros((T, 3))
     torque, rate_dot = zeros if torque is None else torque, zeros if rate_dot is None else rate_dot
-    state, craft, back = definition.Contact(), Vehicle(), contact.look_back(DT)
+    state, craft, back = definition.Contact(), Vehicle(), knocks.look_back(DT)
     craft.rotors = N
     touches = []
     for k in range(T):
@@ -39,7 +39,7 @@ def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=
         state.tick(craft, shove, back, touch)
         touches.append(touch)
     hit = np.array([touch.hit for touch in touches])
-    return hit, contact.contacts(Rows(definition.Touch, None, touches))
+    return hit, knocks.contacts(Rows(definition.Touch, None, touches))
 
 
 @settings(max_examples=40, deadline=None)
@@ -49,7 +49,7 @@ def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=
 def test_flying_is_no_contact(drag, wave, climb, turn, loss):
     """Drag that comes and goes with speed, climbs that were commanded, a rotor that stops, turns within what any vehicle can."""
     swing = np.sin(2 * np.pi * wave * TIME / 10.0)
-    side = contact.G0 * drag * np.stack([swing, np.zeros(T)], axis=1)
+    side = knocks.G0 * drag * np.stack([swing, np.zeros(T)], axis=1)
     load = 1.0 + climb * (TIME > 10.0)
     thrust = np.repeat(load[:, None], N, axis=1)
     load = load - loss / N * (TIME > 15.0)
@@ -102,7 +102,7 @@ def test_vibration_is_the_deviation_from_the_mean_of_the_half_second_before():
     time = np.arange(10) * 0.2  # two samples in the half second before
     step = np.repeat([0.0, 3.0], 5)[:, None] * [1.0, 0.0, 0.0]
     assert shaken(time, step) == pytest.approx(math.sqrt((3.0**2 + 1.5**2) / 10))
-    assert shaken(time, 1000.0 * step) == pytest.approx(math.sqrt(2 * contact.G0**2 / 10))
+    assert shaken(time, 1000.0 * step) == pytest.approx(math.sqrt(2 * knocks.G0**2 / 10))
 
 
 def test_vibration_is_that_of_numpy_whatever_comes():
@@ -112,7 +112,7 @@ def test_vibration_is_that_of_numpy_whatever_comes():
     squares = [0.0]
     for k in range(1, 2000):
         before = force[np.searchsorted(time, time[k] - sense.BEFORE_S) : k]
-        squares.append(min(float(((force[k] - before.mean(axis=0)) ** 2).sum()), contact.G0**2))
+        squares.append(min(float(((force[k] - before.mean(axis=0)) ** 2).sum()), knocks.G0**2))
     assert shaken(time, force) == pytest.approx(math.sqrt(np.mean(squares)), rel=1e-9)
 
 
@@ -141,7 +141,7 @@ def test_knocks_close_together_are_one():
     side[[100, 103, 150], 0] = 9.0, 15.0, 8.0
     _, found = struck(side, rate_dot=np.full((T, 3), 8.0))
     assert [round(c.time, 1) for c in found] == [10.0, 15.0]
-    assert found[0].size == pytest.approx(15.0 / contact.G0, rel=0.2)
+    assert found[0].size == pytest.approx(15.0 / knocks.G0, rel=0.2)
 
 
 @cache

@@ -17,6 +17,9 @@ from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
 from rotorwatch.base.compiling.running import Rows
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.plant_rows import any_multirotor
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, hypotheses, kalman, posterior
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, GROUP
@@ -25,11 +28,8 @@ from rotorwatch.engine.estimator.hypotheses import AIR_SHARE, LOSS_WIDTH
 from rotorwatch.engine.estimator.model_error import Memory
 from rotorwatch.engine.estimator.plant import ANSWER_S, B3, BUILT_SD, BURST_S, PER_AXIS, SIDEWAYS, TAU, THETA, YAW_GAIN
 from rotorwatch.engine.estimator.plausibility import torque_free
-from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.host import program
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.plant import any_multirotor
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
+from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
 
 DT = 0.05
 HEXA = airframes.named("ardupilot-hexa-x").effectiveness()

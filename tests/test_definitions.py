@@ -20,7 +20,7 @@ from rotorwatch.base.compiling import shipped, structs, toolchain
 from rotorwatch.base.compiling.running import TRANSLATOR, TYPES, Definition, Rows
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.front import sizes
+from rotorwatch.engine.intake import sizes
 from rotorwatch.errors import ConfigError
 
 IMPORTS = (

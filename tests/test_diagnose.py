@@ -15,7 +15,7 @@ import rotorwatch
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.engine import definition, diagnoser
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion import ticks as motion_ticks
+from rotorwatch.engine.motion import tick_table as motion_ticks
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Signal
 from rotorwatch.report import info

@@ -16,7 +16,7 @@ from rotorwatch.engine import driver as driving
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.driver import Driver, fly
-from rotorwatch.engine.motion import allocation, ticks
+from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.samples import samples
 
 SECONDS = 52.0
@@ -27,7 +27,7 @@ def flown():
     """(vehicle, flight, plan, mixing, samples) of a flight in which a rotor fails."""
     flight = logs.read(SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz").until(SECONDS)
     vehicle, mixing = airframes.identify(flight), allocation.faster_control(flight)
-    plan = ticks.plan(flight, flight["control" if mixing else "motors"], ticks.READY_S)
+    plan = tick_table.plan(flight, flight["control" if mixing else "motors"], tick_table.READY_S)
     return vehicle, flight, plan, mixing, samples(flight.signals, flight.messages, vehicle, plan.gyro, False)
 
 
@@ -36,7 +36,7 @@ def short():
     """The same of the first seconds of a quadrotor's, judged soon."""
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz").until(18.0)
     vehicle, mixing = airframes.identify(flight), allocation.faster_control(flight)
-    plan = ticks.plan(flight, flight["control" if mixing else "motors"], ticks.READY_KNOWN_S)
+    plan = tick_table.plan(flight, flight["control" if mixing else "motors"], tick_table.READY_KNOWN_S)
     return vehicle, flight, plan, mixing, samples(flight.signals, flight.messages, vehicle, plan.gyro, False)
 
 
@@ -76,7 +76,7 @@ def test_interpreted_and_compiled_do_the_same(short):
     if ENGINE.library is None:
         pytest.skip("no C compiler")
     compiled, library = told(short), ENGINE.library
-    assert (compiled[0].table.mode == ticks.JUDGE).sum() > 80 and compiled[0].table.valid.any(axis=0).all()
+    assert (compiled[0].table.mode == tick_table.JUDGE).sum() > 80 and compiled[0].table.valid.any(axis=0).all()
     ENGINE.__dict__["library"] = None
     try:
         same(told(short), compiled)
@@ -99,7 +99,7 @@ def test_a_log_is_a_link_that_is_over(flown, at_once, fell_s):
     """A whole flight through the driver has the ticks that the engine makes of its samples, also where it is known to have fallen."""
     vehicle, flight, *_ = flown
     (start, end), *_ = at_once[4]
-    whole = fly(flight, vehicle, ((start, fell_s or end),), ticks.READY_S, whole=True)
+    whole = fly(flight, vehicle, ((start, fell_s or end),), tick_table.READY_S, whole=True)
     assert whole is not None
     written, judged = whole
     until = fell_s or end
@@ -107,7 +107,7 @@ def test_a_log_is_a_link_that_is_over(flown, at_once, fell_s):
     for name in ("time", "thrust", "wrench", "rate", "load", "valid", "mode", "restart", "upset", "contact", "axial"):
         ours = getattr(judged.table, name)[judged.table.command_time <= until]
         np.testing.assert_array_equal(ours, getattr(at_once[0].table, name)[before], err_msg=name)
-    assert (judged.table.mode[judged.table.command_time > until] == ticks.GROUND).all()
+    assert (judged.table.mode[judged.table.command_time > until] == tick_table.GROUND).all()
     assert written.losses.events() == (() if fell_s else at_once[1])
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import program
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.host import program
-from rotorwatch.engine.motion.ticks import AGAIN, GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import AGAIN, GROUND, JUDGE, LEARN
 
 SETTLES, FAILS, WELL, PUSHED, LANDED, AGAIN_UP = 60, 130, 260, 330, 380, 390
 SHORT = 160  # ticks that Python runs in a second or two

@@ -10,10 +10,11 @@ import rotorwatch as rw
 from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion.flights import airborne
 from rotorwatch.flight import Signal
 from rotorwatch.report.html import page
-from rotorwatch.witnesses.esc import consistency, stopped, telemetry, watch
+from rotorwatch.witnesses.esc import changed as watch
+from rotorwatch.witnesses.esc import consistency, stopped, telemetry
 from rotorwatch.witnesses.healthy import baselines
 from rotorwatch_lab.experiments.studies import esc_causes
 from rotorwatch_lab.simulation import scenario, simulate

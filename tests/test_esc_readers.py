@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from rotorwatch.logs import dataflash, esc_columns, mavlink_frames, mavlink_messages, memory, px4_topics, tlog
+from rotorwatch.logs import dataflash, esc_columns, log_memory, mavlink_frames, mavlink_messages, px4_topics, tlog
 from test_dataflash import RCOU, pwm
 from test_dataflash import Writer as DataFlash
 from test_logs_px4 import topics
@@ -184,9 +184,9 @@ def test_tables():
         columns |= {f"motor_{k}": np.full(50, 0.5), f"rpm_{k}": np.full(50, 5999.0 + k)}
         columns |= {f"esc_current_{k}_A": np.full(50, 3.0 + k), f"esc_voltage_{k}_V": np.full(50, 15.5)}
         columns |= {f"esc_temperature_{k}_degC": np.full(50, 42.5)}
-    check(memory.from_arrays(columns)["esc"])
+    check(log_memory.from_arrays(columns)["esc"])
     columns["esc_current_2_A"] = np.full(50, np.nan)
-    assert memory.from_arrays(columns)["esc"].valid[0, 4:8].tolist() == [True, False, True, True]
+    assert log_memory.from_arrays(columns)["esc"].valid[0, 4:8].tolist() == [True, False, True, True]
 
 
 def test_the_layout_of_the_golden_record():

@@ -17,7 +17,7 @@ from rotorwatch.commands import cli
 from rotorwatch.diagnose import prepare
 from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight.method_series import INTERVAL, SET, MethodSeries
-from rotorwatch.logs import memory
+from rotorwatch.logs import log_memory
 from rotorwatch.report import method_plots
 from rotorwatch_lab.compiling.run import run
 from rotorwatch_lab.estimate import Estimates, read_truth, steps
@@ -168,7 +168,7 @@ def test_a_log_without_a_flight_is_refused():
     t = np.arange(0.0, 20.0, 0.02)
     still = {"time_s": t, **{f"motor_{k}": np.zeros(len(t)) for k in range(1, 5)}, **{f"gyro_{a}_rad_s": 0 * t for a in "xyz"}}
     with pytest.raises(LogError, match="never in the air"):
-        rw.estimate(memory.from_arrays(still, parameters={"MAV_TYPE": 2}, autopilot="PX4"), "ekf")
+        rw.estimate(log_memory.from_arrays(still, parameters={"MAV_TYPE": 2}, autopilot="PX4"), "ekf")
 
 
 def test_diagnose_names_the_method_and_shows_its_own_estimate():
@@ -186,11 +186,11 @@ def test_diagnose_names_the_method_and_shows_its_own_estimate():
 
 def test_the_report_of_another_method_says_who_found_it():
     from rotorwatch.report import html
-    from rotorwatch.report.sections import checks, rotors
+    from rotorwatch.report.sections import other_checks, rotor_table
 
     pytest.importorskip("bokeh")
     found = rw.diagnose(FAULTY, estimator="ekf")
-    assert checks.rows(found)[0][0] == "ekf" and "decision that all methods share" in rotors.scope(found)
+    assert other_checks.rows(found)[0][0] == "ekf" and "decision that all methods share" in rotor_table.scope(found)
     text = html.page(found)
     assert "ekf itself" in text and 'id="plot-own_loss"' in text and "1.96 standard deviations of ekf" in text
 

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
+from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.front import changes as front_changes
-from rotorwatch.engine.front import events as listed
-from rotorwatch.engine.front import whole
-from rotorwatch.engine.front.sizes import EVENTS
-from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.contact import Contact
+from rotorwatch.engine.events import calls
+from rotorwatch.engine.events import changes as front_changes
+from rotorwatch.engine.events import events as listed
+from rotorwatch.engine.intake.sizes import EVENTS
+from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.live.changes import Changes
+from rotorwatch.live.alert_states import Changes
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 DT = 0.05
@@ -42,7 +42,7 @@ def flown(until, air, upset=(), contacts=(), report=None, since=0.0):
     tumbles = np.zeros(len(time), bool)
     for start, end in upset:
         tumbles |= (time >= start) & (time <= end)
-    return (report or events.Report(B)).add(
+    return (report or event_rows.Report(B)).add(
         SimpleNamespace(time=time, upset=tumbles, dt=DT, contacts=tuple(Contact(t, 2.0, 1) for t in contacts)), air
     )
 
@@ -175,7 +175,7 @@ def test_kinds_and_causes_are_never_taken_for_one_another():
     found = [replace(loss(10.0), kind=name) for name in names]
     found += [replace(loss(10.0), extra={"override": name, "cause": "b"}) for name in names]
     found += [replace(loss(10.0), extra={"override": name, "cause": ""}) for name in [names[0] + "b", "b"]]
-    rows = events.packed(found)
+    rows = event_rows.packed(found)
     assert len(set(zip(rows["kind"].tolist(), rows["detail"].tolist()))) == len(found)
 
 
@@ -186,9 +186,9 @@ def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
         ENGINE.array(front_changes.Change, 2 * EVENTS),
         ENGINE.array(listed.Event, EVENTS),
     )
-    one = events.packed([loss(10.0, end=15.0)])
-    assert ENGINE.call(whole.changes, known, one, 1, 14.0, -1, False, withdrawn, out) == 1
-    assert ENGINE.call(whole.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
+    one = event_rows.packed([loss(10.0, end=15.0)])
+    assert ENGINE.call(calls.changes, known, one, 1, 14.0, -1, False, withdrawn, out) == 1
+    assert ENGINE.call(calls.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
 
 
 @example([[(0, 2, 0.5), (0, 1, 0.453125)], [(0, 1, 0.4375), (0, 1, 0.421875)]])
@@ -217,8 +217,8 @@ def test_a_list_goes_on_where_another_one_was_and_leaves_that_as_it_is(machine_c
         monkeypatch.setitem(ENGINE.__dict__, "library", None)
     air, late = ((2.0, 22.0),), [override(21.0)]
     first = flown(18.0, air)
-    more = events.Report(B, first.state.copy())
+    more = event_rows.Report(B, first.state.copy())
     on = flown(30.0, air, upset=[(20.0, 22.1)], report=more, since=18.0).finish(air)
     assert on.events((), late) == ()  # that is the fall
     assert first.finish(air).events((), late) == tuple(late)
-    assert events.Losses(B, events.Losses(B).state.copy()).events() == ()
+    assert event_rows.Losses(B, event_rows.Losses(B).state.copy()).events() == ()

@@ -7,8 +7,11 @@ from tests.loss_prior import beside_steps, one_of
 from tests.plain import array, copied, filled, logs, lower, made, plant, room
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.program import square
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
+from rotorwatch.engine.estimator.estimator_sizes import SLOTS
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
 from rotorwatch.engine.estimator.hypotheses import (
     AIR_SHARE,
@@ -26,10 +29,7 @@ from rotorwatch.engine.estimator.hypotheses import (
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, entry
-from rotorwatch.engine.estimator.sizes import SLOTS
-from rotorwatch.engine.front.decisions import TOTAL_LOSS
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.program import square
+from rotorwatch.engine.events.decisions import TOTAL_LOSS
 
 N, DT = 4, 0.05
 HYP = list_hypotheses(N)

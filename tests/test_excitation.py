@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings.plant_rows import usual_gains
 from rotorwatch.engine.estimator.plant import TAU
-from rotorwatch.engine.host.plant import usual_gains
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.control import excitation
 from rotorwatch_lab.control.excitation import Limits, Noise, Signal

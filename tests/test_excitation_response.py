@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.estimator.plant import CURVE, SHARE, TAU
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.stats.tails import normal_cdf
 from rotorwatch.witnesses import excitation_response

@@ -8,16 +8,16 @@ import pytest
 from tests.embedded_c_parts import STRICT, compilers
 
 from rotorwatch import airframes
-from rotorwatch.engine.estimator import sizes
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.estimator import estimator_sizes
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
-from rotorwatch.engine.host import program
 from rotorwatch_lab.export_c import export_c
 from test_engine import flight
 
 FRAME, N, TICKS = "ardupilot-hexa-x", 6, 300
 B = airframes.named(FRAME).effectiveness()
-FITS = {sizes.ROTORS: N, sizes.HYPOTHESES: hypothesis_count(N)}
+FITS = {estimator_sizes.ROTORS: N, estimator_sizes.HYPOTHESES: hypothesis_count(N)}
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.commands import cli
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.experiments.studies import false_alarms as study

@@ -8,7 +8,7 @@ import pytest
 
 from conftest import hexa_diagnosis, hexa_trace
 from rotorwatch.report import colours, figures, html, lanes
-from rotorwatch.report.sections import evidence
+from rotorwatch.report.sections import evidence_plot
 
 
 def event(**changes):
@@ -55,15 +55,15 @@ def test_the_axis_of_evidence_holds_what_speaks_for_a_fault_and_as_much_against(
     shown = ["rotor 3", "common mode"]
     worse = replace(trace, evidence={**trace.evidence, "common mode": np.full(trace.time.size, -500.0)})
     source = ColumnDataSource({"time": [], "odds0": [], "odds1": []})
-    axis = evidence.drawn(worse, source, Range1d(), shown, colours.looks(hexa_diagnosis())).y_range
+    axis = evidence_plot.drawn(worse, source, Range1d(), shown, colours.looks(hexa_diagnosis())).y_range
     assert axis.start == -axis.end
 
 
 def test_a_hypothesis_of_one_rotor_has_its_colour_and_no_other_has():
     looks = colours.looks(hexa_diagnosis())
-    assert evidence.look_of("rotor 3", 1, looks) == {"color": colours.FAULT, "line_dash": looks[3][1]}
+    assert evidence_plot.look_of("rotor 3", 1, looks) == {"color": colours.FAULT, "line_dash": looks[3][1]}
     for name in ("rotors 1+3", "axis 3", "rotor x", "rotor 9", "common mode"):
-        assert evidence.look_of(name, 1, looks) == {"color": colours.INK, "line_dash": "dashed"}
+        assert evidence_plot.look_of(name, 1, looks) == {"color": colours.INK, "line_dash": "dashed"}
 
 
 def test_rotors_that_nothing_is_known_against_have_the_palette_in_order(healthy):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fleet_history import SD, series
-from rotorwatch.fleet import explain, false_discovery, prognosis, scatter
-from rotorwatch.fleet.explain import CENTRE, STEP, WORN
+from rotorwatch.fleet import attribution, false_discovery, prognosis, scatter
+from rotorwatch.fleet.attribution import CENTRE, STEP, WORN
 
 
 def losses(K, n, **rotors):
@@ -23,7 +23,7 @@ def after(K, k, size):
 @pytest.mark.parametrize("n", [4, 6])
 @pytest.mark.parametrize("at", [10, 30, 50])
 def test_damage_is_found_where_it_happened(n, at):
-    found = explain.explain(series(losses(60, n, r3=after(60, at, 0.10)), seed=at))
+    found = attribution.explain(series(losses(60, n, r3=after(60, at, 0.10)), seed=at))
     atom = next(a for a in found.atoms if a.kind == STEP)
     assert atom.rotor == 2 and abs(atom.start - at) <= 2
     assert found.evidence[2] > np.log(1000.0) and np.delete(found.evidence, 2).max() < 0.0
@@ -35,18 +35,18 @@ def test_damage_is_found_where_it_happened(n, at):
 
 @pytest.mark.parametrize("n", [4, 6])
 def test_slow_wear_is_found(n):
-    found = explain.explain(series(losses(100, n, r2=np.linspace(0.0, 0.10, 100)), seed=4))
+    found = attribution.explain(series(losses(100, n, r2=np.linspace(0.0, 0.10, 100)), seed=4))
     assert [a.kind for a in found.atoms] == [WORN] and found.atoms[0].rotor == 1
     assert found.now[1] == pytest.approx(0.11, abs=0.03)
 
 
 def test_a_service_cuts_the_history():
     theta = losses(100, 4, r2=np.where(np.arange(100) < 60, np.linspace(0.0, 0.166, 100), 0.0))
-    found = explain.explain(series(theta, services=((60, 1),)))
+    found = attribution.explain(series(theta, services=((60, 1),)))
     assert any(a.rotor == 1 and a.start < 60 for a in found.atoms)
     assert found.now[1] == 0.0 and found.e[59, 1] > 0.07
     # Not noted, the same exchange is a gain.
-    unnoted = explain.explain(series(theta))
+    unnoted = attribution.explain(series(theta))
     gain = [float(c[0]) for a, c in zip(unnoted.atoms, unnoted.coefficients) if a.kind == STEP and a.rotor == 1]
     assert gain and min(gain) < -0.05
     assert unnoted.now[1] < 0.03
@@ -55,14 +55,14 @@ def test_a_service_cuts_the_history():
 def test_a_shifted_weight_is_no_rotor():
     one = series(losses(60, 4), seed=2)
     one.y[35:, :2] += [0.04, -0.03]
-    found = explain.explain(one)
+    found = attribution.explain(one)
     assert [a.kind for a in found.atoms] == [CENTRE] and abs(found.atoms[0].start - 35) <= 1
     assert found.evidence.max() < 0.0
 
 
 def test_two_things_at_once():
     theta = losses(100, 4, r1=np.linspace(0.0, 0.1, 100), r4=after(100, 70, 0.15))
-    found = explain.explain(series(theta, seed=3))
+    found = attribution.explain(series(theta, seed=3))
     assert {a.rotor for a in found.atoms} == {0, 3}
     assert found.evidence[0] > 5.0 and found.evidence[3] > 5.0 and found.evidence[1:3].max() < 1.0
 
@@ -70,7 +70,7 @@ def test_two_things_at_once():
 def test_single_odd_flights_are_not_damage():
     one = series(losses(60, 4), seed=5)
     one.y[[12, 30, 41, 59]] += [0.06, 0.05, 0.03]
-    found = explain.explain(one)
+    found = attribution.explain(one)
     assert found.evidence.max() < 0.0 and not found.atoms
     assert found.weight[[12, 30, 41, 59]].max() < 0.5
 
@@ -79,26 +79,26 @@ def test_flights_that_do_not_count_teach_nothing():
     one = series(losses(60, 4), seed=6)
     use = np.ones(60, bool)
     use[20:40] = False
-    base = explain.explain(explain.Series(one.y, one.noise, one.hours, one.G, use))
+    base = attribution.explain(attribution.Series(one.y, one.noise, one.hours, one.G, use))
     other = one.y.copy()
     other[20:40] += [0.1, 0.2, -0.1]
-    changed = explain.explain(explain.Series(other, one.noise, one.hours, one.G, use))
+    changed = attribution.explain(attribution.Series(other, one.noise, one.hours, one.G, use))
     assert changed.atoms == base.atoms
     np.testing.assert_allclose(changed.evidence, base.evidence)
     np.testing.assert_allclose(changed.level, base.level)
 
 
 def test_e_values_of_healthy_rotors_are_seldom_large():
-    e = np.concatenate([explain.explain(series(losses(40, 4), seed=100 + k)).evidence for k in range(60)])
+    e = np.concatenate([attribution.explain(series(losses(40, 4), seed=100 + k)).evidence for k in range(60)])
     # Of an e-value, at most one in x may be above x.
     assert np.mean(e > np.log(20.0)) < 0.05 and np.mean(np.exp(e)) < 1.5
 
 
 def test_sisters_show_damage_from_the_first_flight():
     theta = losses(40, 4, r3=np.full(40, 0.25))
-    alone = explain.explain(series(theta, seed=7))
+    alone = attribution.explain(series(theta, seed=7))
     assert alone.evidence.max() < 1.0
-    beside = explain.explain(series(theta, seed=7, level=np.zeros(3), level_covariance=np.diag([0.02, 0.02, 0.012]) ** 2))
+    beside = attribution.explain(series(theta, seed=7, level=np.zeros(3), level_covariance=np.diag([0.02, 0.02, 0.012]) ** 2))
     assert beside.evidence[2] > 5.0 and beside.atoms[0].start == 0
 
 
@@ -157,8 +157,8 @@ def test_prognosis_intervals_hold():
     for k in range(40):
         theta = losses(80, 4, r2=0.001 * np.maximum(np.arange(80) - 9, 0))
         one = series(theta, seed=200 + k)
-        found = explain.explain(one)
-        said = prognosis.foresee(explain.lines(one, found, 1), 80 / 60.0)
+        found = attribution.explain(one)
+        said = prognosis.foresee(attribution.lines(one, found, 1), 80 / 60.0)
         if said.word == "growing" and said.interval is not None:
             low, high = said.interval
             held.append(low <= 30 / 60.0 and (high is None or 30 / 60.0 <= high))

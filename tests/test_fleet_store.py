@@ -9,7 +9,7 @@ import pytest
 import rotorwatch
 from rotorwatch import diagnose, logs
 from rotorwatch.errors import ConfigError, StoreError
-from rotorwatch.fleet import Entry, Store, default_url, judge
+from rotorwatch.fleet import Entry, Store, default_url, flight_result
 from rotorwatch.fleet import store as module
 
 SAMPLES = Path(rotorwatch.__file__).parent / "samples"
@@ -220,6 +220,6 @@ def test_a_flight_is_kept_as_it_was_diagnosed():
     """A diagnosis made elsewhere is taken as it is, its doubts with it: nothing is judged twice."""
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz")
     found = diagnose(flight)
-    assert judge.of_flight(flight, "h", "p", 1, found=found) == judge.of_flight(flight, "h", "p", 1)
-    doubted = judge.of_flight(flight, "h", "p", 1, found=replace(found, doubts=("Another vehicle flew.", "So it seems.")))
+    assert flight_result.of_flight(flight, "h", "p", 1, found=found) == flight_result.of_flight(flight, "h", "p", 1)
+    doubted = flight_result.of_flight(flight, "h", "p", 1, found=replace(found, doubts=("Another vehicle flew.", "So it seems.")))
     assert doubted.trim["doubt"] == "Another vehicle flew."

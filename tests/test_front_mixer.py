@@ -1,4 +1,4 @@
-"""The mixer and its deviations (engine/front/mixer.py, engine/front/deviations.py): made-up flights with known answers, and Python against
+"""The mixer and its deviations (engine/intake/mixer.py, deviations.py): made-up flights with known answers, and Python against
 C."""
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import pytest
 from embedded_c_parts import STRICT, compilers
 from rotorwatch.base.compiling import structs
 from rotorwatch.base.compiling.translate import Translation
-from rotorwatch.engine.front import deviations, mixer, sizes, vehicle
-from rotorwatch.engine.front.deviations import OFF, OVERRIDDEN, STUCK, Deviations, Override
-from rotorwatch.engine.front.mixer import Comparison, Mixer
-from rotorwatch.engine.front.vehicle import Vehicle
+from rotorwatch.engine.intake import craft as vehicle
+from rotorwatch.engine.intake import deviations, mixer, sizes
+from rotorwatch.engine.intake.craft import Vehicle
+from rotorwatch.engine.intake.deviations import OFF, OVERRIDDEN, STUCK, Deviations, Override
+from rotorwatch.engine.intake.mixer import Comparison, Mixer
 
 LASTS = structs.LASTS
 TYPES = {"rw_real": ctypes.c_double, "rw_time": ctypes.c_double, "int32_t": ctypes.c_int32, "bool": ctypes.c_bool}

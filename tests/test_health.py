@@ -10,10 +10,10 @@ import pytest
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer import health
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.report import html, terminal
-from rotorwatch.report.sections import health as health_section
+from rotorwatch.report.sections import grades as health_section
 
 # Roll, pitch, yaw, thrust of a quad X in the autopilot's order: front right, rear left, front left, rear right.
 QUAD = np.array([[-0.7, 0.7, 0.7, -0.7], [0.7, -0.7, 0.7, -0.7], [1.0, 1.0, -1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.host import events
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.program import estimate
-from rotorwatch.engine.motion.ticks import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.program import estimate
+from rotorwatch.engine.motion.tick_table import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.witnesses import hindsight
 
 DT = 0.1
@@ -37,7 +37,7 @@ def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None,
 def found(ticks):
     """(what a live observer was told, what is found afterwards)."""
     last, out = estimate(ticks, QUAD)
-    return events.read(out, ticks, QUAD), hindsight.find(last, ticks, QUAD)
+    return event_rows.read(out, ticks, QUAD), hindsight.find(last, ticks, QUAD)
 
 
 @pytest.mark.parametrize(("rotor", "loss", "onset"), [(0, 0.5, 2.5), (2, 0.2, 4.0), (3, 0.35, 7.5)])

@@ -7,11 +7,11 @@ from scipy.optimize import minimize
 from tests.loss_prior import KINDS, moments
 from tests.plain import array, logs, made, room
 
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH, Asked, Freed, Jump
 from rotorwatch.engine.estimator.plant import Plant
-from rotorwatch.engine.host.hypotheses import list_hypotheses
 
 WIDTH, AIR = np.array([0.1, 0.2, 0.3, 0.4]), 0.4
 FULL = 2.5  # hover thrusts

@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
-from rotorwatch.engine.motion import airborne, allocation, deviations
+from rotorwatch.engine.motion import allocation, flights, overrides
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
@@ -71,7 +71,7 @@ def test_commands_still_follow_the_mixer(frame, fast):
     # A command between two control samples is compared with a straight line; the loss grows along a curve.
     assert np.abs(check.deviation[late]).max() < (1e-3 if fast else 1e-9)
     assert np.abs(faulty["control"].values - flight["control"].values).max() > 0.02
-    assert deviations.overrides(faulty, vehicle, ((1.0, 19.0),)) == ()
+    assert overrides.overrides(faulty, vehicle, ((1.0, 19.0),)) == ()
     if fast:
         both = [allocation.mixed_thrusts(f, vehicle) for f in (flight, faulty)]
         assert both[1].valid[200:].mean() > 0.95
@@ -175,7 +175,7 @@ def test_campaign_on_the_sample_flight():
     assert result["healthy"]["flights"] == 1 and result["healthy"]["false_alarms"] == 0
     assert result["healthy"]["hours"] == pytest.approx(33.0 / 3600, abs=3.0 / 3600)
     assert told == sorted(told) and told[-1] == 1.0
-    ((start, end),) = airborne.airborne(flight)
+    ((start, end),) = flights.airborne(flight)
     assert all(start + 11.0 <= t["onset_s"] <= end - 12.0 for t in result["trials"])
 
 
@@ -198,6 +198,6 @@ def test_a_real_flight_keeps_following_its_mixer():
     if not path.exists():
         pytest.skip("the real test flights are not here")
     flight = logs.read(path)
-    vehicle, air = airframes.identify(flight), airborne.airborne(flight)
+    vehicle, air = airframes.identify(flight), flights.airborne(flight)
     faulty = inject.inject(flight, vehicle, 1, 0.2, 40.0)
-    assert deviations.overrides(faulty, vehicle, air) == deviations.overrides(flight, vehicle, air) == ()
+    assert overrides.overrides(faulty, vehicle, air) == overrides.overrides(flight, vehicle, air) == ()

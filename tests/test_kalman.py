@@ -5,11 +5,11 @@ import pytest
 from tests.plain import array, copied, lower, made, plant
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings.program import square
 from rotorwatch.engine.estimator import kalman
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, PER_AXIS, SIDEWAYS, THETA, Rows, entry
-from rotorwatch.engine.host.program import square
 
 N, DT = 4, 0.05
 SIZE = THETA + N

@@ -13,15 +13,15 @@ from rich.console import Console
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer.ledger import believed
 from rotorwatch.answer.wording import BASELINE, said
-from rotorwatch.engine.front import events as definition
-from rotorwatch.engine.host.events import packed
+from rotorwatch.engine.bindings.event_rows import packed
+from rotorwatch.engine.events import events as definition
 from rotorwatch.flight import kinds
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Kind, Span, Weight, Words
 from rotorwatch.live import ground, view
-from rotorwatch.live.changes import Changes
+from rotorwatch.live.alert_states import Changes
 from rotorwatch.report import colours, terminal
-from rotorwatch.report.sections import events
+from rotorwatch.report.sections import event_list
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "rotorwatch"
@@ -38,7 +38,7 @@ KINDS = tuple(kinds.table().values())
 EVENT_ROWS = tuple(row for row in KINDS if row.weight is not Weight.OPEN)  # the others are no events of an answer
 NAMES = (*(row.name for row in (*EVENT_ROWS, *PLANTED)), "of_another_version")
 # Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
-ELSEWHERE = {"engine/motion/ticks.py": {kinds.CONTACT}, "engine/definition.py": {kinds.CONTACT}}  # a file of that name
+ELSEWHERE = {"engine/motion/tick_table.py": {kinds.CONTACT}, "engine/definition.py": {kinds.CONTACT}}  # a file of that name
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +75,7 @@ def shown(answer: Diagnosis) -> dict[str, str]:
     written = io.StringIO()
     Console(file=written, width=400, no_color=True).print(terminal.diagnosis(answer, verbose=True))
     return {
-        "terminal": written.getvalue(), "page": re.sub("<[^>]*>", " ", events.page(answer, {})), "markdown": answer.to_markdown(),
+        "terminal": written.getvalue(), "page": re.sub("<[^>]*>", " ", event_list.page(answer, {})), "markdown": answer.to_markdown(),
     }  # fmt: skip
 
 

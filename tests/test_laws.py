@@ -17,11 +17,12 @@ from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.core import Estimate
+from rotorwatch.engine.bindings import plant_rows as plant
+from rotorwatch.engine.bindings import program
+from rotorwatch.engine.bindings.default import Default
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
-from rotorwatch.engine.host import plant, program
-from rotorwatch.engine.host.default import Default
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
 from rotorwatch_lab.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch_lab.estimators.ekf import EKF
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics

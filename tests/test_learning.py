@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import learning
+from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, any_air, any_curve, any_multirotor
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, SHARE_SD
-from rotorwatch.engine.host import learning
-from rotorwatch.engine.host.plant import AXIS_STATES, any_air, any_curve, any_multirotor
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 
 DT = 0.05
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()

@@ -9,20 +9,20 @@ from hypothesis import strategies as st
 from conftest import hexa_event, trials
 from rotorwatch import airframes
 from rotorwatch.answer import from_takeoff, ledger, unseen
-from rotorwatch.engine.host import events, residual_evidence
-from rotorwatch.engine.host.events import Report
-from rotorwatch.engine.motion.deviations import Override
+from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings.event_rows import Report
+from rotorwatch.engine.motion.overrides import Override
 from rotorwatch.flight.diagnosis import NO_SOURCE
 from rotorwatch.flight.kinds import CONTACT, DESYNC, FROM_TAKEOFF, LOSS, LOST, OVERRIDE, SLOW
 from rotorwatch.witnesses import excitation_response, hindsight
 from rotorwatch.witnesses.aerobatic import desync
-from rotorwatch.witnesses.esc.evidence import STANDS as STANDING
-from rotorwatch.witnesses.esc.watch import CHANGED as CHANGING
+from rotorwatch.witnesses.esc.causes import STANDS as STANDING
+from rotorwatch.witnesses.esc.changed import CHANGED as CHANGING
 
 B = airframes.named("ardupilot-hexa-x").effectiveness()
 
 
-def loss(onset, rotor=3, detected=None, source=events.ESTIMATOR, size=0.37, end=None):
+def loss(onset, rotor=3, detected=None, source=event_rows.ESTIMATOR, size=0.37, end=None):
     interval = ((max(size - 0.04, 0.0), size + 0.04),)
     return hexa_event(
         rotors=(rotor,), onset_s=onset, detected_s=onset + 1.0 if detected is None else detected, source=source, loss=(size,),
@@ -93,7 +93,7 @@ def test_claims_of_any_kind_are_events():
 
 CLAIMS = st.lists(
     st.one_of(
-        st.builds(loss, st.integers(0, 60), st.integers(1, 6), source=st.sampled_from([events.ESTIMATOR, hindsight.SOURCE]),
+        st.builds(loss, st.integers(0, 60), st.integers(1, 6), source=st.sampled_from([event_rows.ESTIMATOR, hindsight.SOURCE]),
                   size=st.sampled_from([0.02, 0.3, 0.9]), end=st.none()),
         st.builds(lambda onset, rotor: other(OVERRIDE, onset + 0.1, onset + 2.0, (rotor,)), st.integers(0, 60), st.integers(1, 6)),
     ),
@@ -118,12 +118,12 @@ def test_who_testifies_first_does_not_matter_and_nothing_is_said_twice(claims, r
 
 def test_outputs_that_left_together_are_the_logs_and_explain_losses():
     together = [Override(r, "overridden", 20.0, 20.3, 40.0, "it left the mixer", shared=True) for r in (2, 5)]
-    claims = tuple(map(events.overridden, together))
-    assert [c.rotors for c in claims] == [(2,), (5,)] and all(map(events.shared, claims))
+    claims = tuple(map(event_rows.overridden, together))
+    assert [c.rotors for c in claims] == [(2,), (5,)] and all(map(event_rows.shared, claims))
     assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)
 
 
-EVIDENCE = [residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (events.TRIM, unseen.STEPS, residual_evidence.RESIDUAL)]
+EVIDENCE = [residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (event_rows.TRIM, unseen.STEPS, residual_evidence.RESIDUAL)]
 COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (from_takeoff.FLIGHTS, from_takeoff.VEHICLES)]
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch.engine.host import program
+from rotorwatch.engine.bindings import program
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.experiments import limits
 from rotorwatch_lab.experiments.limits import Rows

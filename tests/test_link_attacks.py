@@ -10,7 +10,7 @@ from tests.soak import stamped
 
 from rotorwatch.flight import Signal
 from rotorwatch.live.clock import Clock, Restarted
-from rotorwatch.live.frames import seeds, sums
+from rotorwatch.live.framing import seeds, sums
 from rotorwatch.live.link import Link
 from rotorwatch.live.outliers import Outliers
 from rotorwatch.live.routes import Route, Routes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from rotorwatch.live import frames, rotors, senders
+from rotorwatch.live import esc_notices, framing, senders
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.mavlink import Messages, layouts
 from rotorwatch.logs import mavlink_messages, tlog
@@ -31,7 +31,7 @@ def packed(count, rng, second=True, signed=False):
 @pytest.mark.parametrize("second, signed", [(True, False), (False, False), (True, True)])
 def test_frames_come_out_of_pieces_of_any_length(second, signed):
     rng = np.random.default_rng(1)
-    wanted, found, parser = packed(200, rng, second, signed), [], frames.Frames()
+    wanted, found, parser = packed(200, rng, second, signed), [], framing.Frames()
     data, at = b"".join(wanted), 0
     while at < len(data):
         size = int(rng.integers(1, 90))
@@ -43,7 +43,7 @@ def test_frames_come_out_of_pieces_of_any_length(second, signed):
 def test_no_sound_frame_is_lost_to_damage_before_it():
     """Bytes that look like the head of a long frame, frames cut off and frames with a wrong byte: all others are found."""
     rng = np.random.default_rng(2)
-    parser, wanted, found = frames.Frames(), packed(300, rng), []
+    parser, wanted, found = framing.Frames(), packed(300, rng), []
     for k, frame in enumerate(wanted):
         found += parser.take(frame)
         kind = k % 4
@@ -64,14 +64,14 @@ def test_no_sound_frame_is_lost_to_damage_before_it():
 )
 def test_work_grows_with_the_bytes_whatever_they_are(stride, monkeypatch):
     """A frame may seem to begin at every byte, at every second, at every fifth: not every one of them is summed up to its end."""
-    summed, sums = [], frames.sums
-    parser, wanted = frames.Frames(), packed(1, np.random.default_rng(6))
+    summed, sums = [], framing.sums
+    parser, wanted = framing.Frames(), packed(1, np.random.default_rng(6))
     data = stride * (200_000 // len(stride))
     parser.take(data[:1400])
-    monkeypatch.setattr(frames, "sums", lambda frame, extra: (summed.append(len(frame) + frames.ATTEMPT), sums(frame, extra))[1])
+    monkeypatch.setattr(framing, "sums", lambda frame, extra: (summed.append(len(frame) + framing.ATTEMPT), sums(frame, extra))[1])
     for at in range(0, len(data), 1400):
         parser.take(data[at : at + 1400])
-    assert sum(summed) < (frames.VAIN + 1) * len(data) + frames.SAVED
+    assert sum(summed) < (framing.VAIN + 1) * len(data) + framing.SAVED
     assert parser.take(bytes(600) + wanted[0]) == wanted, "what comes after is found"
 
 
@@ -80,11 +80,11 @@ def test_the_sums_are_those_of_pymavlink():
     for _ in range(200):
         body, extra = b"\xfd" + rng.bytes(int(rng.integers(1, 270))), int(rng.integers(256))
         crc = mavlink.x25crc(body[1:] + bytes([extra])).crc
-        assert frames.sums(body, extra) == crc.to_bytes(2, "little")
+        assert framing.sums(body, extra) == crc.to_bytes(2, "little")
 
 
 def test_whole_frames_of_unknown_messages_are_passed_over():
-    parser, (frame, other) = frames.Frames(), packed(2, np.random.default_rng(4))
+    parser, (frame, other) = framing.Frames(), packed(2, np.random.default_rng(4))
     strange = bytes((0xFD, 9, 0, 0, 0, 1, 1, 0xEE, 0xEE, 0xEE)) + bytes(11)
     assert parser.take(frame + strange + other) == [frame, other]
     assert (parser.unknown, parser.damaged) == (1, 0)
@@ -226,7 +226,7 @@ def test_what_a_bad_link_does_to_one_sender_is_not_taken_for_two():
 
 def test_a_rotor_that_stands_is_said_by_its_esc():
     """ArduPilot's telemetry over a link: speeds are known, a rotor that stands in the air is said once, and that it turns again."""
-    link, seen, said = Link(), rotors.Rotors(), []
+    link, seen, said = Link(), esc_notices.Rotors(), []
 
     def fly(seconds, rpm, flying=True):
         for _ in range(int(seconds * 10)):
@@ -264,10 +264,10 @@ SENT = (
 @pytest.mark.parametrize("first_version", [False, True])
 @pytest.mark.parametrize("name, values", SENT)
 def test_what_is_sent_is_what_pymavlink_reads_and_writes(name, values, first_version):
-    sender, parser = frames.Sender(254, 191), mavlink.MAVLink(None)
+    sender, parser = framing.Sender(254, 191), mavlink.MAVLink(None)
     pack = mavlink.MAVLink(None, srcSystem=254, srcComponent=191)
     for _ in range(300):  # more than running numbers there are
-        frame = sender.frame(frames.outgoing(name, **values), first_version)
+        frame = sender.frame(framing.outgoing(name, **values), first_version)
         (message,) = parser.parse_buffer(frame)
         assert message.get_type() == name and message.get_seq() == pack.seq
         for field, value in values.items():
@@ -279,7 +279,7 @@ def test_what_is_sent_is_what_pymavlink_reads_and_writes(name, values, first_ver
 
 def test_a_field_that_a_message_does_not_have_is_refused():
     with pytest.raises(TypeError, match="HEARTBEAT has no field kind"):
-        frames.outgoing("HEARTBEAT", kind=2)
+        framing.outgoing("HEARTBEAT", kind=2)
 
 
 def test_the_table_of_messages_is_that_of_pymavlink():

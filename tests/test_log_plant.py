@@ -12,12 +12,12 @@ from tests.plain import logs, made, room
 from rotorwatch import airframes
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.hypotheses import Asked, Freed, Jump, pair, steps
 from rotorwatch.engine.estimator.plant import Plant
-from rotorwatch.engine.host import events
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, Ticks
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.compiling.run import run
 from rotorwatch_lab.estimators.ekf import EKF
@@ -237,7 +237,7 @@ def known():
 
 def losses_of(name, quad, tuning=None):
     out, _ = published.judge(name, *quad, known(), tuning)
-    return out, events.read(out, quad[0], quad[1])
+    return out, event_rows.read(out, quad[0], quad[1])
 
 
 def test_a_published_method_finds_the_rotor(quad):

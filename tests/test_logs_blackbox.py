@@ -25,12 +25,12 @@ from rotorwatch.base.compiling.running import Definition
 from rotorwatch.diagnose_many import diagnose_many
 from rotorwatch.errors import LogError, VehicleError
 from rotorwatch.logs import container
-from rotorwatch.logs.blackbox import decoder, encodings, frames, header, sizes
+from rotorwatch.logs.blackbox import decoder, encodings, frame_sizes, frames, header
 from rotorwatch.report.info import info
 
 SHARED = Path(__file__).parents[1] / "../shared/flights/blackbox"
 SAMPLES = Path(__file__).resolve().parents[1] / "src" / "rotorwatch" / "samples"
-PLAIN = Definition("blackbox", (encodings, frames), sizes, decoder.FILES)
+PLAIN = Definition("blackbox", (encodings, frames), frame_sizes, decoder.FILES)
 PLAIN.__dict__["library"] = None
 
 

@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import logs
 from rotorwatch.errors import LogError
-from rotorwatch.logs import container, memory, parquet_pages
+from rotorwatch.logs import container, log_memory, parquet_pages
 from rotorwatch.logs import table as logs_table
-from rotorwatch.logs.memory import from_arrays
+from rotorwatch.logs.log_memory import from_arrays
 
 DOCS = Path(__file__).parents[1] / "docs" / "readers.md"
 
@@ -72,7 +72,7 @@ def test_empty_cells_take_no_more_memory_than_others():
     try:
         notes: list[str] = []
         for more, dropped in ((b"", 0), (b"1\n", 1)):  # all lines whole, or one not, which is read another way
-            table = memory.numbers(b"time_s,a,b,c\n" + b"0,,,\n" * 50_000 + more, notes)
+            table = log_memory.numbers(b"time_s,a,b,c\n" + b"0,,,\n" * 50_000 + more, notes)
             assert np.isnan(table["b"]).all() and table["c"].size == 50_000 and len(notes) == dropped
         assert tracemalloc.get_traced_memory()[1] < 50 * 4 * 50_000
     finally:
@@ -148,8 +148,8 @@ def test_every_documented_column_is_known_and_every_known_one_documented():
     documented = set()
     for name in re.findall(r"`([A-Za-z0-9_]+)`", section):
         documented.add(name)
-        assert memory.known_column(name), name
-    missing = [n for n in memory._KNOWN if n not in documented]
+        assert log_memory.known_column(name), name
+    missing = [n for n in log_memory._KNOWN if n not in documented]
     assert not missing
 
 
@@ -250,7 +250,7 @@ def test_damaged_lines_cost_only_themselves(tmp_path):
 def test_empty_cells_anywhere_are_not_a_number(rows):
     text = "a,b,c\n" + "".join(",".join("" if v is None else repr(v) for v in row) + "\n" for row in rows)
     notes = []
-    table = memory.numbers(text.encode(), notes)
+    table = log_memory.numbers(text.encode(), notes)
     want = np.array([[np.nan if v is None else v for v in row] for row in rows], float)
     got = np.column_stack([table[c] for c in "abc"])
     assert np.array_equal(got, want, equal_nan=True) and notes == []

@@ -11,7 +11,7 @@ import pytest
 
 from rotorwatch import logs
 from rotorwatch.errors import LogError
-from rotorwatch.live.frames import Outgoing, Sender
+from rotorwatch.live.framing import Outgoing, Sender
 from rotorwatch.logs import mavlink_frames, mavlink_messages, tlog
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"

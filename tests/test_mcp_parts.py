@@ -16,7 +16,7 @@ import misbehaving
 from conftest import hexa_diagnosis, hexa_event
 from mcp_texts import ORDERS, WORD, tokens, unmarked
 from rotorwatch import __version__
-from rotorwatch.assistants import answers, desk, models, series, work
+from rotorwatch.assistants import answers, desk, models, signal_rows, work
 from rotorwatch.assistants.desk import Desk
 from rotorwatch.assistants.quoted import label, quoted, several, utc
 from rotorwatch.base.many.limited import Workers
@@ -105,18 +105,18 @@ def test_an_answer_about_many_rotors_and_events_is_short():
 
 
 def test_series_of_every_kind(fault):
-    for what in series.WHOLE:
+    for what in signal_rows.WHOLE:
         if what == "rates":
             continue
-        found = answered(models.Series, lambda w=what: {"log": quoted("a")} | series.sampled(fault, w, None, None, None, 30))
+        found = answered(models.Series, lambda w=what: {"log": quoted("a")} | signal_rows.sampled(fault, w, None, None, None, 30))
         assert len(found["rows"]) <= 30 and all(len(row) == len(found["columns"]) for row in found["rows"])
     with pytest.raises(ConfigError, match="no rates"):
-        series.sampled(fault, "rates", None, None, None, 30)
+        signal_rows.sampled(fault, "rates", None, None, None, 30)
     with pytest.raises(ConfigError, match="rotors 1 to 6"):
-        series.sampled(fault, "loss", 7, None, None, 30)
+        signal_rows.sampled(fault, "loss", 7, None, None, 30)
     with pytest.raises(ConfigError, match="no samples"):
-        series.sampled(fault, "loss", 3, 1e5, None, 30)
-    peak = series.sampled(fault, "loss", 3, None, None, 10)["rows"]
+        signal_rows.sampled(fault, "loss", 3, 1e5, None, 30)
+    peak = signal_rows.sampled(fault, "loss", 3, None, None, 10)["rows"]
     assert max(row[1] for row in peak) == pytest.approx(float(fault.trace.loss[:, 2].max()), abs=1e-3)
 
 

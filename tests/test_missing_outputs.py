@@ -9,8 +9,8 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.motion.airborne import GAP_S, airborne, gaps
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN, READY_S
+from rotorwatch.engine.motion.flights import GAP_S, airborne, gaps
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, READY_S
 from rotorwatch.live.session import Session
 from rotorwatch_lab.simulation import scenario, simulate
 

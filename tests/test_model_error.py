@@ -7,6 +7,8 @@ import pytest
 from tests.plain import array, copied, filled, made, plant, room
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, any_multirotor
 from rotorwatch.engine.estimator import model_error, noise
 from rotorwatch.engine.estimator.model_error import Memory, Seen
 from rotorwatch.engine.estimator.noise import Noise
@@ -23,8 +25,6 @@ from rotorwatch.engine.estimator.plant import (
     USUAL_S,
     Inputs,
 )
-from rotorwatch.engine.host import events
-from rotorwatch.engine.host.plant import AXIS_STATES, any_multirotor
 from rotorwatch_lab.campaign import batch, plan
 
 N, DT = 4, 0.05
@@ -288,4 +288,4 @@ def test_a_light_coaxial_octa_that_flies_off_is_not_accused():
     flights = plan.read(Path(__file__).parents[1] / "plans" / "default.toml")
     (flown,) = batch.fly(flights, [3599], 1)
     (done,) = batch.by_default([flown])
-    assert events.read(done.out, done.table, flown.vehicle.effectiveness()) == ()
+    assert event_rows.read(done.out, done.table, flown.vehicle.effectiveness()) == ()

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from conftest import hexa_event
-from rotorwatch.answer import ledger, trim
+from rotorwatch.answer import drift, ledger
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.engine.host.events import Report
+from rotorwatch.engine.bindings.event_rows import Report
 from rotorwatch.flight.kinds import TURNED
 from test_slow import HEXA, QUAD, flight
 
 
 def claimed(B=QUAD, **how):
     out, ticks = flight(B, **how)
-    return trim.mounts(trim.look(out, ticks, B))
+    return drift.mounts(drift.look(out, ticks, B))
 
 
 @pytest.mark.parametrize("B", [QUAD, HEXA])

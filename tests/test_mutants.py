@@ -25,7 +25,7 @@ def test_every_file_in_it_has_tests_of_its_own():
 def test_the_tests_that_are_named_exist():
     for names in mutants.NAMED.values():
         assert all((ROOT / "tests" / f"test_{name}.py").exists() for name in names), names
-    assert mutants.tests_of("engine/motion/ticks.py") == ("tests/test_ticks.py",)
+    assert mutants.tests_of("engine/motion/tick_table.py") == ("tests/test_ticks.py",)
 
 
 def test_the_campaign_itself_loads_nothing_of_the_package():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.plain import made
 
+from rotorwatch.engine.bindings import program
 from rotorwatch.engine.estimator import noise
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import TAU, Plant
-from rotorwatch.engine.host import program
 
 DT = 0.05
 KEPT = "v", "safety", "weight", "total"

@@ -8,11 +8,11 @@ import pytest
 from onboard_c import doubles, library
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.plant_rows import lower_rotors
 from rotorwatch.engine.estimator.posterior import PLACES
-from rotorwatch.engine.host import events
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.plant import lower_rotors
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
 
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
 ROW, MOST = 5 + 12 + 31, 40
@@ -106,13 +106,13 @@ def mask(rotors):
 
 
 def in_python(out, ticks, B, count):
-    """The same of engine/host/events.py, with a computer's room."""
+    """The same of engine/bindings/event_rows.py, with a computer's room."""
 
     def cut(columns):
         return SimpleNamespace(**{k: v[:count] if np.ndim(v) else v for k, v in vars(columns).items()})
 
     rows = []
-    for e in events.read(cut(out), cut(ticks), B):
+    for e in event_rows.read(cut(out), cut(ticks), B):
         row = np.zeros(ROW)
         row[:5] = e.onset_s, e.detected_s, LASTS if e.end_s is None else e.end_s, e.probability, mask(e.rotors)
         order = np.argsort(e.rotors)

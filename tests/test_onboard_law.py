@@ -17,8 +17,8 @@ from rotorwatch import logs
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.motion import ticks
-from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion import tick_table
+from rotorwatch.engine.motion.flights import airborne
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs import plausible
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
@@ -117,7 +117,7 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     except (RotorwatchError, IndexError, KeyError) as why:
         pytest.skip(f"no flight that can be fed: {why}")
     assert len(what.table)
-    if what.dt > ticks.SHORTEST_S / 2.0:
+    if what.dt > tick_table.SHORTEST_S / 2.0:
         pytest.skip("too slow for on board: `export-c` refuses it")
     told = diagnose(flight)
     if told.doubts:

@@ -11,7 +11,7 @@ from conftest import trials
 from onboard_law import COMMON, compiled, flown
 from rotorwatch import logs
 from rotorwatch.commands.cli import SAMPLES
-from rotorwatch.engine.trim.trim import LOOK_S
+from rotorwatch.engine.drift.trim import LOOK_S
 
 DRIVER = (
     COMMON

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard_c import doubles, library
-from rotorwatch.answer import trim
+from rotorwatch.answer import drift
 from test_slow import DT, QUAD, flight
 
 DRIVER = """
@@ -70,8 +70,8 @@ def code(tmp_path_factory):
 def test_the_same_is_told_on_board(code, how, says):
     B = QUAD
     out, ticks = flight(B, **how)
-    state = trim.look(out, ticks, B)
-    grown, mounts = trim.growth(state), trim.mounts(state)
+    state = drift.look(out, ticks, B)
+    grown, mounts = drift.growth(state), drift.mounts(state)
     rows = np.ascontiguousarray(np.column_stack([ticks.time, (out.biases + (ticks.thrust * out.theta) @ B.T)[:, :3], ticks.thrust]))
     found, text, looks = np.zeros((4, 8)), ctypes.create_string_buffer(80), ctypes.c_int()
     arguments = doubles(np.ascontiguousarray(B)), ctypes.c_double(ticks.curve[1]), ctypes.c_double(DT), doubles(rows)

@@ -7,13 +7,13 @@ import pytest
 from tests.plain import filled, lower, made, plant
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Evidence
 from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR, SMALL_WIDTH, kind_of
 from rotorwatch.engine.estimator.opposite import Opposite, contested
 from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S
 from rotorwatch.engine.estimator.plausibility import torque_free
-from rotorwatch.engine.host.hypotheses import list_hypotheses
 
 DT, LIMIT, BOTH, SLOT = 0.05, 14.0, (0, 1), 5
 HEXA, QUAD = (airframes.named(f"ardupilot-{f}").effectiveness() for f in ("hexa-x", "quad-x"))

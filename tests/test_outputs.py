@@ -10,7 +10,7 @@ from conftest import hexa_event
 from rotorwatch import airframes
 from rotorwatch.answer import ledger
 from rotorwatch.engine.motion.allocation import drive
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.flight.vehicle import ThrustCurve

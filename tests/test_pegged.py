@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.logs.memory import from_arrays
+from rotorwatch.logs.log_memory import from_arrays
 from rotorwatch.witnesses.upset import pegged
 
 QUAD = airframes.named("px4-quad-x")

@@ -8,10 +8,10 @@ from tests.plain import array, measured
 from tests.plain import plant as plant_of
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings import plant_rows, program
+from rotorwatch.engine.bindings.plant_rows import AXIS_STATES
 from rotorwatch.engine.estimator import plant as definition
 from rotorwatch.engine.estimator.plant import AIR, B3, DAMPING, GAIN, PER_AXIS, SHARE, SHARE_SD, SIDEWAYS, TAU, THETA
-from rotorwatch.engine.host import plant, program
-from rotorwatch.engine.host.plant import AXIS_STATES
 
 QUAD, Y6 = (airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "y6"))
 RNG = np.random.default_rng(5)
@@ -44,7 +44,7 @@ def yaw_of_drag(B, thrust, forward, right, arm=0.2):
 def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
     """y_a = G_a m_a + c_a r_a + l f_a + n k v + b1_a + b2_a + b3_a + sum_i B_ai T_i theta_i, written out."""
     ticks, known = table(4, side=side), program.steps(0.05, QUAD).plant
-    u, x, theta = plant.packed(ticks, 4), np.zeros(THETA), RNG.uniform(0, 0.5, 4)
+    u, x, theta = plant_rows.packed(ticks, 4), np.zeros(THETA), RNG.uniform(0, 0.5, 4)
     x[:AXIS_STATES], x[AIR] = RNG.normal(0, 1, AXIS_STATES), 0.07
     assert u.shape == (3, 17)
     h, drag = program.balance(u, known)
@@ -68,8 +68,8 @@ def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
 
 def test_lower_rotors_give_more_and_all_give_less():
     """The share is one more state; the hover command, all rotors at 1, carries the same weight whatever it is."""
-    lower, share, s = plant.lower_rotors(Y6), 0.1, np.zeros(THETA + 6)
-    p, u = plant_of(Y6), plant.packed(table(6), 6)[0]
+    lower, share, s = plant_rows.lower_rotors(Y6), 0.1, np.zeros(THETA + 6)
+    p, u = plant_of(Y6), plant_rows.packed(table(6), 6)[0]
     s[SHARE] = share
     more = lower - (Y6[3] * lower).mean()
     still = np.concatenate([u[:13], [0.0, 0.0], u[15:]])  # no air from the side
@@ -84,7 +84,7 @@ def test_lower_rotors_give_more_and_all_give_less():
     assert (p.mean[SHARE], prior[SHARE, SHARE]) == (0.0, SHARE_SD**2)
     assert not prior[SHARE, :SHARE].any() and not prior[:SHARE, SHARE].any()
     assert plant_of(QUAD).variance[SHARE][SHARE] == 0.0  # no other frame has it
-    mean, P = plant.any_multirotor(6)
+    mean, P = plant_rows.any_multirotor(6)
     taught = {"x0": mean, "P0": P, "noise": np.ones((4, 4)), "noise_weight": 2.0, "share": [0.05, 0.001]}
     known = program.steps(0.05, Y6, taught).plant
     assert (known["mean"][0, SHARE], known["variance"][0, SHARE, SHARE]) == (0.05, 0.001)
@@ -103,7 +103,7 @@ def test_disturbances_fade_and_the_rest_stays(B):
 def test_what_any_multirotor_is_like():
     """Damping is a rate times the gain, both uncertain and independent: moments of the product, against draws."""
     n, draws = 6, 400_000
-    mean, P = plant.any_multirotor(n)
+    mean, P = plant_rows.any_multirotor(n)
     rng = np.random.default_rng(0)
     for axis in range(3):
         gain = rng.normal(n * definition.GAIN_MEAN[axis], n * definition.GAIN_SD[axis], draws)
@@ -116,7 +116,7 @@ def test_what_any_multirotor_is_like():
     assert (mean[thrust], P[thrust, thrust]) == (1.0, definition.GAIN_SD[3] ** 2)
     assert (mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS]) == pytest.approx((n * definition.SIDE, (n * definition.SIDE_SD) ** 2))
     assert np.linalg.eigvalsh(P).min() >= -1e-12 and (P == P.T).all()
-    assert plant.usual_gains(n) == pytest.approx([*(n * np.array(definition.GAIN_MEAN[:3])), 1.0])
+    assert plant_rows.usual_gains(n) == pytest.approx([*(n * np.array(definition.GAIN_MEAN[:3])), 1.0])
     assert np.count_nonzero(P - np.diag(np.diag(P))) == 6  # each angular gain with its damping, nothing else
 
 
@@ -124,11 +124,11 @@ def test_lower_rotors_are_the_weaker_ones_at_one_place():
     arms = {"y6": ((1, 5), (2, 3), (4, 6)), "octaquad-x": ((1, 6), (2, 5), (3, 8), (4, 7))}
     for name, pairs in arms.items():
         B = airframes.named(f"ardupilot-{name}").effectiveness()
-        lower = plant.lower_rotors(B)
+        lower = plant_rows.lower_rotors(B)
         for pair in pairs:
             weaker = min(pair, key=lambda r: B[3, r - 1])
             assert [lower[r - 1] for r in pair] == [float(r == weaker) for r in pair]
     for name in ("quad-x", "hexa-x", "octa-x"):
-        assert plant.lower_rotors(airframes.named(f"ardupilot-{name}").effectiveness()) is None
+        assert plant_rows.lower_rotors(airframes.named(f"ardupilot-{name}").effectiveness()) is None
     even = Y6 / Y6[3]
-    assert plant.lower_rotors(even) is None  # rotors of equal strength have no lower one
+    assert plant_rows.lower_rotors(even) is None  # rotors of equal strength have no lower one

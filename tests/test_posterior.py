@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from tests.plain import array, copied, filled, plant, room
 
 from rotorwatch import airframes
+from rotorwatch.engine.bindings.program import square
+from rotorwatch.engine.estimator.estimator_sizes import PLACES
 from rotorwatch.engine.estimator.hypotheses import CLEAR
 from rotorwatch.engine.estimator.plant import BURST_S, THETA
 from rotorwatch.engine.estimator.posterior import NEVER, OUT, TEMPER, Branches
-from rotorwatch.engine.estimator.sizes import PLACES
-from rotorwatch.engine.front.losses import YOUNG_S
-from rotorwatch.engine.host.program import square
+from rotorwatch.engine.events.losses import YOUNG_S
 
 DT, N = 0.05, 6
 STATES = THETA + N

@@ -16,7 +16,7 @@ from rotorwatch.flight import Flight, Signal, kinds
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.report import colours, drawing, figures, html, lanes, terminal, thinning, track
 from rotorwatch.report.info import info
-from rotorwatch.report.sections import checks
+from rotorwatch.report.sections import other_checks
 
 
 def text_of(diagnosis):
@@ -58,14 +58,14 @@ def test_rotor_lists_read_as_english():
 
 
 def test_comparison_is_in_time_order_and_says_when_nobody_else_found_anything(fault, healthy):
-    assert [(who, at) for who, _, at, _ in checks.rows(fault)] == [("rotorwatch", "31.56 s"), ("ardupilot-thrust-loss", "33.40 s")]
-    assert checks.rows(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
+    assert [(who, at) for who, _, at, _ in other_checks.rows(fault)] == [("rotorwatch", "31.56 s"), ("ardupilot-thrust-loss", "33.40 s")]
+    assert other_checks.rows(replace(fault, comparison=()))[1][:2] == ("ardupilot-thrust-loss", "nothing")
     px4 = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "PX4"})
-    assert checks.rows(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
+    assert other_checks.rows(px4)[1][:2] == ("px4-current-residual, px4-esc-current", "nothing")
     other = replace(fault, comparison=(), flight={**fault.flight, "autopilot": "Crazyflie"})
-    assert checks.rows(other)[1][:2] == ("other checks", "none made")
-    assert "no built-in check of Crazyflie" in checks.rows(other)[1][3]
-    assert checks.rows(replace(healthy, comparison=())) == []
+    assert other_checks.rows(other)[1][:2] == ("other checks", "none made")
+    assert "no built-in check of Crazyflie" in other_checks.rows(other)[1][3]
+    assert other_checks.rows(replace(healthy, comparison=())) == []
 
 
 # Terminal

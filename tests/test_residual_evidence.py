@@ -7,9 +7,10 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.engine.host import events, residual_evidence
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.bindings import event_rows as events
+from rotorwatch.engine.bindings import residual_evidence
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 
 HYP = list_hypotheses(4)
 B = airframes.named("ardupilot-quad-x").effectiveness()

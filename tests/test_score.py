@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.estimator.announcement import TICKS
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.campaign import score
 from rotorwatch_lab.experiments import counting, limits

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.campaign import sequences

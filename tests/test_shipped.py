@@ -14,8 +14,8 @@ import pytest
 
 from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.commands.cli import SAMPLES
+from rotorwatch.engine.bindings import shipping
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.host import shipping
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 

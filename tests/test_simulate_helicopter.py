@@ -13,7 +13,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.logs import memory
+from rotorwatch.logs import log_memory
 from rotorwatch_lab.published import helicopter_log
 from rotorwatch_lab.simulation import faults, rotation, scenario, simulate, simulate_batch
 from rotorwatch_lab.simulation.helicopter import aircraft, dynamics
@@ -299,7 +299,7 @@ def test_the_log_holds_no_truth():
     motors = made.flight.signals["motors"]
     late = motors.time > 16.0
     assert np.ptp(motors.values[late, 1]) > 0.05
-    assert all(memory.known_column(name) for name in loop_columns(made))
+    assert all(log_memory.known_column(name) for name in loop_columns(made))
 
 
 def loop_columns(made):
@@ -388,7 +388,7 @@ def test_steady_wind_is_no_fault():
     assert np.isnan(found.found).all()
     early = {k: v[:90] for k, v in loop_columns(made).items()}
     with pytest.raises(LogError, match="shorter than the 6 s"):
-        helicopter_log.estimate(memory.from_arrays(early), "ruav-40kg", "ekf")
+        helicopter_log.estimate(log_memory.from_arrays(early), "ruav-40kg", "ekf")
 
 
 def test_the_table_of_the_plant():
@@ -400,7 +400,7 @@ def test_the_table_of_the_plant():
     assert np.allclose(table.y[400, :3], rotation.to_body(rotation.axes(q), r.v[k]), atol=0.15)
     assert np.allclose(table.u[400, :4], r.command[k - 2], atol=0.05) and table.valid.all()
     with pytest.raises(LogError, match="lacks velocity"):
-        helicopter_log.rows(memory.from_arrays({"time_s": [0, 1, 2], **{f"motor_{k}": [0.5] * 3 for k in (1, 2, 3, 4)}}))
+        helicopter_log.rows(log_memory.from_arrays({"time_s": [0, 1, 2], **{f"motor_{k}": [0.5] * 3 for k in (1, 2, 3, 4)}}))
     with pytest.raises(ConfigError, match="no helicopter called 'f450'; known are ruav-40kg"):
         helicopter_log.estimate(made.flight, "f450", "ekf")
 
@@ -411,7 +411,7 @@ def test_missing_samples_do_no_harm():
     for axis in "ned":
         columns[f"velocity_{axis}_m_s"][100:400:3] = np.nan
     columns["motor_2"][200:205] = np.nan
-    found = helicopter_log.estimate(memory.from_arrays(columns), "ruav-40kg", "ekf")
+    found = helicopter_log.estimate(log_memory.from_arrays(columns), "ruav-40kg", "ekf")
     assert np.isfinite(found.theta).all() and 15.0 < found.found[1] < 18.0
 
 

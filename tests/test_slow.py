@@ -9,14 +9,15 @@ import pytest
 
 from conftest import hexa_event
 from rotorwatch import airframes
-from rotorwatch.answer import ledger, slow, trim
+from rotorwatch.answer import drift as trim
+from rotorwatch.answer import ledger, slow
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.case.conductor import Case
+from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.ticks import JUDGE
-from rotorwatch.engine.trim import many
-from rotorwatch.engine.trim.trim import Trim
+from rotorwatch.engine.drift import many
+from rotorwatch.engine.drift.trim import Trim
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight import Flight
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
@@ -159,7 +160,7 @@ def test_a_link_says_it_while_the_vehicle_flies():
     """Looked at again and again."""
     out, ticks = flight(loss=0.4)
     losses = SimpleNamespace(announcements=0, events=lambda flies: ())
-    state, craft = ENGINE.new(Trim), events.vehicle(QUAD)
+    state, craft = ENGINE.new(Trim), event_rows.vehicle(QUAD)
     diagnoser: Any = SimpleNamespace(losses=losses, contacts=(), overrides=(), trim=state)
     case = Case(Flight("test", "test", {}, 0.0), airframes.named("ardupilot-quad-x"))
     case.driver.diagnoser = diagnoser

@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import diagnose
 from rotorwatch.engine.estimator import announcement
-from rotorwatch.engine.motion import ticks
+from rotorwatch.engine.motion import tick_table
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
 from rotorwatch_lab.simulation import scenario, simulate
@@ -47,8 +47,8 @@ def thinned(flight, hz):
 
 @pytest.mark.parametrize("rate", [0.3, 1.0, 1.79, 1.8, 4.4, 4.5, 7.9, 8.0, 18.9, 19.0, 400.0])
 def test_every_rate_has_ticks_that_the_estimator_has(rate):
-    length = ticks.tick_length(rate)
-    assert length in ticks.TICKS_S and (length == 1.0 or rate * length > 0.75)
+    length = tick_table.tick_length(rate)
+    assert length in tick_table.TICKS_S and (length == 1.0 or rate * length > 0.75)
 
 
 @pytest.mark.parametrize("hz, within", [(5.0, 2.0), (2.0, 4.0), (1.1, 8.0)])
@@ -81,5 +81,5 @@ def test_a_slow_link_is_judged_while_it_flies_and_says_what_cannot_be_seen(hz, l
 
 
 def test_a_fast_link_has_no_such_limit():
-    assert [ticks.slow(hz, ticks.tick_length(hz), 8.0) for hz in (50.0, 20.0, 10.0)] == [""] * 3
-    assert ticks.EARLIEST_TICKS == announcement.TICKS
+    assert [tick_table.slow(hz, tick_table.tick_length(hz), 8.0) for hz in (50.0, 20.0, 10.0)] == [""] * 3
+    assert tick_table.EARLIEST_TICKS == announcement.TICKS

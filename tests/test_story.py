@@ -22,7 +22,7 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.answer import story
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.picture import MOST
-from rotorwatch.fleet import assess, pages
+from rotorwatch.fleet import assess, fleet_pages
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis, Event
 from rotorwatch.report import html, overview, terminal, upset
@@ -212,7 +212,7 @@ def test_a_crash_teaches_a_fleet_nothing_and_its_page_says_so():
     for rows, state in ((flown, "fault"), (flown[::-1], "fault"), (flown[:1], "healthy")):
         standing = assess.standings({"ab": rows}, {})[0]["ab"]
         craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
-        shown = pages._index([craft | {"state": standing["state"]}])
+        shown = fleet_pages._index([craft | {"state": standing["state"]}])
         assert f'class="{state}"' in shown and ("1 lost control" in shown) == (state == "fault")
 
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from rotorwatch.base.compiling.structs import LASTS
-from rotorwatch.engine.front.changes import Known
-from rotorwatch.engine.front.decisions import GRAVE, MATTERS, WORN
-from rotorwatch.engine.front.deviations import OVERRIDDEN, STUCK
-from rotorwatch.engine.front.events import CONTACT, LOSS, OUTPUT_OVERRIDE, TURNED_MOUNT
-from rotorwatch.engine.front.texts import EVERY_S, Texts
-from rotorwatch.engine.front.words import CRITICAL, INFO, NOTICE, WARNING, severity
+from rotorwatch.engine.events.changes import Known
+from rotorwatch.engine.events.decisions import GRAVE, MATTERS, WORN
+from rotorwatch.engine.events.events import CONTACT, LOSS, OUTPUT_OVERRIDE, TURNED_MOUNT
+from rotorwatch.engine.events.texts import EVERY_S, Texts
+from rotorwatch.engine.events.words import CRITICAL, INFO, NOTICE, WARNING, severity
+from rotorwatch.engine.intake.deviations import OVERRIDDEN, STUCK
 
 
 def loss(number=1, rotors=0b1, lost=0.3, width=0.05, end=LASTS, others=0, kind=LOSS, detail=0):

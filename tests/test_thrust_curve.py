@@ -11,7 +11,7 @@ from rotorwatch.engine.estimator import plant
 from rotorwatch.engine.estimator.model_error import Memory, Seen
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import CURVE, GAIN, PER_AXIS, THETA
-from rotorwatch.engine.front.ticks import JUDGE, LEARN
+from rotorwatch.engine.intake.ticks import JUDGE, LEARN
 from rotorwatch.flight.vehicle import ThrustCurve
 from test_default_estimator import DT, KNOWN_NOISE, make
 from test_plant import QUAD

@@ -11,11 +11,11 @@ from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator import announcement
-from rotorwatch.engine.front import sense
-from rotorwatch.engine.front import ticks as definition
-from rotorwatch.engine.front.vehicle import Vehicle
-from rotorwatch.engine.motion import ticks
-from rotorwatch.engine.motion.contact import G0, Contact
+from rotorwatch.engine.intake import sense
+from rotorwatch.engine.intake import ticks as definition
+from rotorwatch.engine.intake.craft import Vehicle
+from rotorwatch.engine.motion import tick_table
+from rotorwatch.engine.motion.knocks import G0, Contact
 from rotorwatch.flight import Flight, Signal
 
 B = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
@@ -39,7 +39,7 @@ def log(rate=200.0, gyro_rate=400.0, start=0.0, seed=0):
 
 
 def make(flight, thrust, **options):
-    return ticks.cut_ticks(flight, thrust, B, AIR, 3.0, **options)
+    return tick_table.cut_ticks(flight, thrust, B, AIR, 3.0, **options)
 
 
 LENGTHS = [(400.0, 0.05), (50.0, 0.05), (20.0, 0.05), (19.0, 0.05), (10.0, 0.1), (8.5, 0.1), (5.0, 0.2), (0.0, 1.0)]
@@ -48,12 +48,12 @@ LENGTHS = [(400.0, 0.05), (50.0, 0.05), (20.0, 0.05), (19.0, 0.05), (10.0, 0.1),
 @pytest.mark.parametrize("rate, dt", LENGTHS)
 def test_tick_length_follows_the_rate_of_the_commands(rate, dt):
     """Also of commands that have no rate: those of one record, or all of one time."""
-    assert ticks.tick_length(rate) == pytest.approx(dt)
+    assert tick_table.tick_length(rate) == pytest.approx(dt)
 
 
 def test_ticks_longer_than_a_tenth_of_a_second_are_slow_and_it_is_said_how_many_an_announcement_takes():
-    assert ticks.slow(10.0, 0.1, 8.0) == ""
-    said = ticks.slow(5.0, 0.2, 8.0)
+    assert tick_table.slow(10.0, 0.1, 8.0) == ""
+    said = tick_table.slow(5.0, 0.2, 8.0)
     assert "judged every 0.2 s" in said
     assert f"shows in {announcement.TICKS} of these, {announcement.TICKS * 0.2:g} s" in said
 
@@ -62,7 +62,7 @@ def test_ticks_longer_than_a_tenth_of_a_second_are_slow_and_it_is_said_how_many_
 def test_a_tick_holds_the_mean_of_its_own_commands_and_every_command_counts_once(rate):
     flight, thrust = log(rate)
     table = make(flight, thrust, hover=0.5)
-    end = table.time - ticks.LAG_S - table.dt / 2  # of each tick's commands
+    end = table.time - tick_table.LAG_S - table.dt / 2  # of each tick's commands
     counted = 0
     for k in range(len(end)):
         inside = (thrust.time > end[k] - table.dt + 1e-9) & (thrust.time <= end[k] + 1e-9)
@@ -90,9 +90,9 @@ def test_an_even_turn_up_has_exactly_its_slope_and_the_load_is_one(gyro_rate):
     flight, thrust = log(gyro_rate=gyro_rate)
     table = make(flight, thrust)
     judged = table.valid.all(axis=1)
-    assert judged.sum() > 0.9 * (table.mode > ticks.GROUND).sum() > 0
+    assert judged.sum() > 0.9 * (table.mode > tick_table.GROUND).sum() > 0
     np.testing.assert_allclose(table.rate_dot[judged], np.tile(SLOPE, (judged.sum(), 1)), atol=1e-9)
-    centre = table.command_time + ticks.LAG_S
+    centre = table.command_time + tick_table.LAG_S
     np.testing.assert_allclose(table.rate[judged], centre[judged, None] * SLOPE, atol=1e-9)
     np.testing.assert_allclose(table.load[judged], 1.0, rtol=1e-9)
 
@@ -104,10 +104,10 @@ def test_side_forces_are_means_of_the_half_second_that_has_passed():
     ramp = np.column_stack([0.4 * accel.time, -0.1 * accel.time, accel.values[:, 2]])
     signals = {**flight.signals, "accel": Signal(accel.time, ramp, ("x", "y", "z"), "m/s^2")}
     table = make(Flight("test", "test", signals, END), thrust)
-    middle = table.command_time + ticks.LAG_S + table.dt / 2 - ticks.SIDE_S / 2
-    flying = table.mode > ticks.GROUND
+    middle = table.command_time + tick_table.LAG_S + table.dt / 2 - tick_table.SIDE_S / 2
+    flying = table.mode > tick_table.GROUND
     np.testing.assert_allclose(table.side[flying], np.outer(middle[flying], [0.4, -0.1]), atol=1e-9)
-    assert (middle + ticks.SIDE_S / 2 <= table.time + 1e-9).all()  # nothing after the tick
+    assert (middle + tick_table.SIDE_S / 2 <= table.time + 1e-9).all()  # nothing after the tick
     blind = Flight("test", "test", {k: v for k, v in flight.signals.items() if k != "accel"}, END)
     assert make(blind, thrust).side is None
 
@@ -126,22 +126,22 @@ def test_modes_ground_learning_judging():
     flight, thrust = log()
     table = make(flight, thrust)
     when = table.time
-    assert np.all(table.mode[when < 2.0 + ticks.HOVER_LEARN_S] == ticks.GROUND)
-    learning = (when >= 2.0 + ticks.HOVER_LEARN_S) & (when < 5.0)
-    assert np.all(table.mode[learning] == ticks.LEARN)
-    assert np.all(table.mode[(when >= 5.0) & (table.command_time <= 11.0)] == ticks.JUDGE)
-    assert np.all(table.mode[table.command_time > 11.0] == ticks.GROUND)
+    assert np.all(table.mode[when < 2.0 + tick_table.HOVER_LEARN_S] == tick_table.GROUND)
+    learning = (when >= 2.0 + tick_table.HOVER_LEARN_S) & (when < 5.0)
+    assert np.all(table.mode[learning] == tick_table.LEARN)
+    assert np.all(table.mode[(when >= 5.0) & (table.command_time <= 11.0)] == tick_table.JUDGE)
+    assert np.all(table.mode[table.command_time > 11.0] == tick_table.GROUND)
     assert np.flatnonzero(table.restart).tolist() == [np.flatnonzero(learning)[0]]
-    assert not table.valid[table.mode == ticks.GROUND].any()
+    assert not table.valid[table.mode == tick_table.GROUND].any()
 
 
 def test_the_first_second_of_flight_ends_where_a_tick_ends():
     """A tick that is complete exactly a second after lift-off is in the air, the one before it is not."""
     flight, thrust = log()
     times = make(flight, thrust).time
-    k = next(k for k in range(60, len(times)) if times[k] - 1.0 + ticks.HOVER_LEARN_S == times[k])
-    table = ticks.cut_ticks(flight, thrust, B, ((times[k] - 1.0, 11.0),), 3.0)
-    assert table.mode[k - 1 : k + 1].tolist() == [ticks.GROUND, ticks.LEARN]
+    k = next(k for k in range(60, len(times)) if times[k] - 1.0 + tick_table.HOVER_LEARN_S == times[k])
+    table = tick_table.cut_ticks(flight, thrust, B, ((times[k] - 1.0, 11.0),), 3.0)
+    assert table.mode[k - 1 : k + 1].tolist() == [tick_table.GROUND, tick_table.LEARN]
 
 
 def test_ticks_cut_in_parts_are_the_same_when_joined():
@@ -152,12 +152,12 @@ def test_ticks_cut_in_parts_are_the_same_when_joined():
     table = replace(table, contact=np.isin(np.arange(len(table.time)), (70, 170)), contacts=(first, second))
     early = table.time < 6.0
     parts = [replace(table.part(early), contacts=(first,)), table.part(~early)]
-    for whole in (ticks.joined([table]), ticks.joined(parts)):
+    for whole in (tick_table.joined([table]), tick_table.joined(parts)):
         assert whole.contacts == (first, second) and whole.dt == table.dt and whole.notes == table.notes
         for name, values in vars(table).items():
             if isinstance(values, np.ndarray):
                 np.testing.assert_array_equal(getattr(whole, name), values, err_msg=name)
-    blind = ticks.joined([parts[0], replace(parts[1], side=None, contact=None)])
+    blind = tick_table.joined([parts[0], replace(parts[1], side=None, contact=None)])
     assert blind.side is None and np.flatnonzero(blind.contact).tolist() == [70]
 
 
@@ -191,7 +191,7 @@ def test_a_gyro_whose_records_have_all_one_time_has_no_period():
     stopped = Signal(np.full(30, 1.0), np.zeros((30, 3)), ("x", "y", "z"), "rad/s")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        plan = ticks.plan(replace(flight, signals={**flight.signals, "gyro": stopped}), thrust, 3.0)
+        plan = tick_table.plan(replace(flight, signals={**flight.signals, "gyro": stopped}), thrust, 3.0)
     assert np.isnan(plan.period["gyro"]) and plan.period["accel"] == pytest.approx(1 / 400.0)
 
 
@@ -303,7 +303,7 @@ def test_without_gyro_or_accelerometer_the_rest_is_still_judged_and_said():
     _, thrust = log()
     bare = Flight("test", "test", {"motors": thrust}, END)
     table = make(bare, thrust)
-    flying = table.mode > ticks.GROUND
+    flying = table.mode > tick_table.GROUND
     assert table.valid[flying, :3].all() and not table.valid[:, 3].any()
     assert len(table.notes) == 2 and "angular rate" in table.notes[0] and "accelerometer" in table.notes[1]
     assert not np.abs(table.rate_dot).any() and np.all(table.load == 1.0)
@@ -408,7 +408,7 @@ def test_who_has_tumbled_for_long_does_not_hover_again_in_this_hop(lasts, gone):
     gyro = flight["gyro"]
     turned = np.where(((gyro.time > 7.0) & (gyro.time < 7.0 + lasts))[:, None], [9.0, 0.0, 0.0], 0.0)
     table = make(Flight("t", "t", {**flight.signals, "gyro": Signal(gyro.time, turned, gyro.columns, "rad/s")}, END), thrust)
-    later = (table.time > 8.2) & (table.mode > ticks.GROUND)
+    later = (table.time > 8.2) & (table.mode > tick_table.GROUND)
     assert table.upset[later].all() == gone == table.upset[later].any() and not table.upset[table.time < 6.9].any()
     assert table.valid[later].any() != gone
 
@@ -416,7 +416,7 @@ def test_who_has_tumbled_for_long_does_not_hover_again_in_this_hop(lasts, gone):
 def test_rotors_without_yaw_torque_are_not_judged_by_yaw():
     flight, thrust = log()
     flat = B * [[1.0], [1.0], [0.0], [1.0]]
-    valid = ticks.cut_ticks(flight, thrust, flat, AIR, 3.0).valid
+    valid = tick_table.cut_ticks(flight, thrust, flat, AIR, 3.0).valid
     both = make(flight, thrust).valid
     assert not valid[:, 2].any() and both[:, 2].any()
     np.testing.assert_array_equal(valid[:, [0, 1, 3]], both[:, [0, 1, 3]])
@@ -426,13 +426,13 @@ def test_fast_commands_have_ticks_on_whole_multiples_and_slow_ones_in_their_midd
     for rate in (40.0, 200.0):
         flight, thrust = log(rate)
         table = make(flight, thrust, dt=0.05)
-        begin = (table.time - ticks.LAG_S - 0.025) / 0.05 - 0.5
+        begin = (table.time - tick_table.LAG_S - 0.025) / 0.05 - 0.5
         np.testing.assert_allclose(begin, np.round(begin), atol=1e-6)
     time = 0.037 + np.arange(0, END, 0.1)
     slow = Signal(time, np.full((time.size, 4), 0.4), ("r1", "r2", "r3", "r4"), "1")
     table = make(Flight("t", "t", {**flight.signals, "motors": slow}, END), slow)
-    end = table.time - ticks.LAG_S - 0.05
-    assert table.dt == 0.1 and table.seen[table.mode > ticks.GROUND].all()
+    end = table.time - tick_table.LAG_S - 0.05
+    assert table.dt == 0.1 and table.seen[table.mode > tick_table.GROUND].all()
     np.testing.assert_allclose((end - time[0]) % 0.1, 0.05, atol=1e-6)
 
 
@@ -446,9 +446,9 @@ def test_commands_of_nothing_are_no_hover():
 
 
 def test_blind_time_is_at_least_thirty_ticks():
-    assert ticks.ready_after(8.0, 0.05) == 8.0 and ticks.ready_after(3.0, 0.5) == ticks.READY_TICKS * 0.5 == 15.0
+    assert tick_table.ready_after(8.0, 0.05) == 8.0 and tick_table.ready_after(3.0, 0.5) == tick_table.READY_TICKS * 0.5 == 15.0
     rates = (0.3, 1.9, 4.6, 8.1, 19.1)
-    assert [ticks.tick_length(rate) for rate in rates] == [1.0, 0.5, 0.2, 0.1, 0.05]
+    assert [tick_table.tick_length(rate) for rate in rates] == [1.0, 0.5, 0.2, 0.1, 0.05]
 
 
 def test_after_a_contact_the_trim_is_learned_from_controlled_flight_alone():
@@ -472,14 +472,14 @@ def test_after_a_contact_the_trim_is_learned_from_controlled_flight_alone():
             found.append(made.mode)
         return np.array(found)
 
-    assert np.flatnonzero(modes({10, 11}) == ticks.LEARN).tolist() == list(range(10, 20))
-    assert (modes({10, 11, 39})[40:] == ticks.JUDGE).all() and (modes(set()) == ticks.JUDGE).all()
+    assert np.flatnonzero(modes({10, 11}) == tick_table.LEARN).tolist() == list(range(10, 20))
+    assert (modes({10, 11, 39})[40:] == tick_table.JUDGE).all() and (modes(set()) == tick_table.JUDGE).all()
 
 
 def test_learning_is_neither_on_the_ground_nor_judged():
     """The estimator tells them apart by size, half-way between; what is learned from has to be measured."""
-    assert ticks.GROUND < ticks.LEARN - 0.5 < ticks.JUDGE - 1.0
+    assert tick_table.GROUND < tick_table.LEARN - 0.5 < tick_table.JUDGE - 1.0
     flight, thrust = log()
     table = make(flight, thrust)
-    learning = (table.time >= 2.0 + ticks.HOVER_LEARN_S) & (table.time < 5.0)
+    learning = (table.time >= 2.0 + tick_table.HOVER_LEARN_S) & (table.time < 5.0)
     assert learning.sum() > 30 and table.valid[learning].all()

@@ -8,8 +8,8 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch import airframes
-from rotorwatch.engine.motion import ticks
-from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.motion import tick_table
+from rotorwatch.engine.motion.flights import airborne
 from rotorwatch.flight import Flight, Signal
 from rotorwatch_lab import simulation
 from rotorwatch_lab.simulation import scenario
@@ -90,7 +90,7 @@ def test_yaw_is_no_measurement_of_rotors_that_make_none():
     flight = flown().flight
     vehicle = replace(airframes.named("ardupilot-tri"), curve=airframes.identify(flight).curve)
     thrust = replace(flight["motors"], values=vehicle.curve(flight["motors"].values), unit="1")
-    table = ticks.cut_ticks(flight, thrust, vehicle.effectiveness(), airborne(flight), 8.0)
+    table = tick_table.cut_ticks(flight, thrust, vehicle.effectiveness(), airborne(flight), 8.0)
     assert not table.valid[:, 2].any() and table.valid[:, [0, 1, 3]].any(axis=0).all()
 
 

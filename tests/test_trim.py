@@ -1,4 +1,4 @@
-"""The look at the trim of a flight (engine/trim/): held to the same weighing in arrays, and what it promises to a board."""
+"""The look at the trim of a flight (engine/drift/): held to the same weighing in arrays, and what it promises to a board."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from rotorwatch.engine.definition import ENGINE, craft
-from rotorwatch.engine.front.losses import CLEAR
-from rotorwatch.engine.trim import many, weighing
-from rotorwatch.engine.trim.fit import DOUBT, GAIN, WHITE
-from rotorwatch.engine.trim.sizes import AMOUNTS_TURNED, BLOCKS
-from rotorwatch.engine.trim.stretch import SMOOTH
-from rotorwatch.engine.trim.trim import LOOK_S, Trim
-from rotorwatch.engine.trim.weighing import DRIFT, RARE, TURNED
+from rotorwatch.engine.drift import many, weighing
+from rotorwatch.engine.drift.drift_sizes import AMOUNTS_TURNED, BLOCKS
+from rotorwatch.engine.drift.fit import DOUBT, GAIN, WHITE
+from rotorwatch.engine.drift.stretch import SMOOTH
+from rotorwatch.engine.drift.trim import LOOK_S, Trim
+from rotorwatch.engine.drift.weighing import DRIFT, RARE, TURNED
+from rotorwatch.engine.events.losses import CLEAR
 from test_slow import HEXA, QUAD, flight
 
 AMOUNTS = np.concatenate([-np.array(weighing.AMOUNTS)[::-1], weighing.AMOUNTS])

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rotorwatch.answer import unjudged
-from rotorwatch.engine.motion import ticks
+from rotorwatch.engine.motion import tick_table
 
 
-def table(seconds, mode=ticks.JUDGE, upset=False, valid=True, contacts=(), dt=0.1):
+def table(seconds, mode=tick_table.JUDGE, upset=False, valid=True, contacts=(), dt=0.1):
     """Ticks of a flight, all alike."""
     count = round(seconds / dt)
     return SimpleNamespace(
@@ -26,7 +26,7 @@ KNOCKS = tuple(SimpleNamespace(time=t) for t in (11.0, 22.5))
         (table(8.0), ((2.0, 10.0),), 0.0, "11 s of flight are needed, 8 s were flown"),
         (table(10.5), ((2.0, 12.5),), 2.0, "11 s of flight are needed, 10.5 s were flown"),
         (table(16.0), ((2.0, 10.0), (20.0, 28.0)), 0.4, "11 s of flight without landing are needed, 8 s were flown"),
-        (table(30.0, ticks.LEARN, contacts=KNOCKS), ((2.0, 32.0),), 2.0, "made contact at 11.00 s and 22.50 s"),
+        (table(30.0, tick_table.LEARN, contacts=KNOCKS), ((2.0, 32.0),), 2.0, "made contact at 11.00 s and 22.50 s"),
         (table(30.0, upset=True), ((2.0, 32.0),), 2.0, "more than 65 degrees"),
         (table(30.0, valid=False), ((2.0, 32.0),), 0.0, "motion or command data are missing"),
         (table(30.0), ((2.0, 32.0),), 22.0, "22 s of assessed flight are too few"),
@@ -43,5 +43,5 @@ def test_the_reason_is_the_true_one_and_the_advice_fits_it(made, air, judged_s, 
     ("lengths", "ready_s"), [((60.0,), 8.0), ((16.0,), 8.0), ((12.0,), 6.0), ((8.0, 4.0), 4.0), ((5.0,), 3.0), ((), 8.0)]
 )
 def test_of_a_short_flight_half_is_learned_from_but_enough(lengths, ready_s):
-    assert ticks.ready_of(ticks.READY_S, tuple((10.0 * k, 10.0 * k + s) for k, s in enumerate(lengths))) == ready_s
-    assert ticks.ready_of(ticks.READY_KNOWN_S, ((0.0, 60.0),)) == ticks.READY_KNOWN_S
+    assert tick_table.ready_of(tick_table.READY_S, tuple((10.0 * k, 10.0 * k + s) for k, s in enumerate(lengths))) == ready_s
+    assert tick_table.ready_of(tick_table.READY_KNOWN_S, ((0.0, 60.0),)) == tick_table.READY_KNOWN_S

@@ -10,8 +10,8 @@ from scipy import stats
 
 import rotorwatch as rw
 from rotorwatch.answer import unseen
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched

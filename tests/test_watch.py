@@ -15,12 +15,12 @@ from rotorwatch.case import conductor
 from rotorwatch.commands import cli
 from rotorwatch.engine import driver
 from rotorwatch.engine.driver import Driver
-from rotorwatch.engine.motion import allocation, ticks
-from rotorwatch.engine.motion.airborne import airborne
-from rotorwatch.engine.motion.ticks import READY_S
+from rotorwatch.engine.motion import allocation, tick_table
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.live import view
-from rotorwatch.live.changes import Changes
+from rotorwatch.live.alert_states import Changes
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.session import Session
 from rotorwatch.live.watched import Watched
@@ -164,10 +164,12 @@ def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     last = stream.finish(flight.duration)
     found += [last.judged.table] if last.judged is not None else []
     assert len(found) > 5
-    together, plan = ticks.joined(found), stream.plan
+    together, plan = tick_table.joined(found), stream.plan
     commands = flight["control" if allocation.faster_control(flight) else "motors"]
-    assert (plan.dt, plan.gyro, plan.accel) == (ticks.plan(flight, commands, READY_S).dt, plan.gyro, plan.accel)
-    whole = ticks.assemble(ticks.sense(flight, allocation.rotor_thrusts(flight, vehicle), plan), plan, vehicle.effectiveness(), last.spans)
+    assert (plan.dt, plan.gyro, plan.accel) == (tick_table.plan(flight, commands, READY_S).dt, plan.gyro, plan.accel)
+    whole = tick_table.assemble(
+        tick_table.sense(flight, allocation.rotor_thrusts(flight, vehicle), plan), plan, vehicle.effectiveness(), last.spans
+    )
     assert last.spans == airborne(flight)
     count = min(len(whole.time), len(together.time))
     assert abs(len(whole.time) - len(together.time)) <= 1.5 / plan.dt  # after the last command nothing flies

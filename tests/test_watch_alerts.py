@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from tests.conftest import hexa_event
 
 from rotorwatch.commands import cli
-from rotorwatch.engine.front.words import INFO
+from rotorwatch.engine.events.words import INFO
 from rotorwatch.errors import ConfigError
 from rotorwatch.live import endpoint, ground, metrics, webhook
 from rotorwatch.live.link import Link

@@ -280,7 +280,7 @@ def test_parameters_and_heartbeats_without_end_take_no_memory_without_end():
     own = Autopilot({"FRAME_CLASS": 1.0})
     introduced(link, wire, own, {"FRAME_CLASS": 1.0})
     frame = bytearray(own.packed(param(b"P000000", 0, 60000)))
-    from rotorwatch.live.frames import sums
+    from rotorwatch.live.framing import sums
 
     for k in range(30_000):
         body = bytes(frame[:10]) + struct.pack("<fHH16sB", 1.0, 60000, k % 60000, b"P%06d" % k, 9)

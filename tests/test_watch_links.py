@@ -19,7 +19,7 @@ from rotorwatch.commands import cli
 from rotorwatch.errors import LinkError
 from rotorwatch.live import endpoint, mavlink, requests
 from rotorwatch.live.clock import Clock, Restarted
-from rotorwatch.live.frames import Sender
+from rotorwatch.live.framing import Sender
 from rotorwatch.live.link import Link
 from rotorwatch.live.watched import Watched
 from rotorwatch.logs import mavlink_messages

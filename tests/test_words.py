@@ -7,7 +7,7 @@ import pytest
 from conftest import against_healthy, hexa_diagnosis
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import RotorState
-from rotorwatch.report.sections import events, healthy_flights
+from rotorwatch.report.sections import event_list, healthy_flights
 from test_report import text_of
 
 
@@ -17,7 +17,7 @@ def event(**changes):
 
 def test_the_main_event_is_pointed_out_among_several_only(fault):
     two = hexa_diagnosis(events=(event(), event(rotors=(5,), onset_s=40.0, detected_s=40.5)))
-    assert "main event" not in events.page(fault, {}) and events.page(two, {}).count("main event") == 1
+    assert "main event" not in event_list.page(fault, {}) and event_list.page(two, {}).count("main event") == 1
     assert "(main)" not in text_of(fault) and text_of(two).count("(main)") == 1
 
 

@@ -22,7 +22,7 @@ __version__ = "0.1.0"
 
 # Functions that live in a module of the same name: rotorwatch/diagnose.py holds diagnose.
 _VERBS = {
-    "airborne": "engine.motion.airborne",
+    "airborne": "engine.motion.flights",
     "calibrate": "calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
@@ -32,7 +32,7 @@ _VERBS = {
 _HOMES = {
     "read": "logs",
     "serve": "serve.server",
-    "mcp": "assistants.server",
+    "mcp": "assistants.mcp_server",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -54,11 +54,11 @@ _SHORT = {"checks": "base.checks", "many": "base.many", "sections": "report.sect
 __all__ = ["__version__", "read", *_VERBS, *(n for n in _HOMES if n != "read")]
 
 if TYPE_CHECKING:
-    from rotorwatch.assistants.server import mcp as mcp
+    from rotorwatch.assistants.mcp_server import mcp as mcp
     from rotorwatch.calibrate import calibrate as calibrate
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose_many import diagnose_many as diagnose_many
-    from rotorwatch.engine.motion.airborne import airborne as airborne
+    from rotorwatch.engine.motion.flights import airborne as airborne
     from rotorwatch.errors import ConfigError as ConfigError
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError

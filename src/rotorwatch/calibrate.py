@@ -21,7 +21,7 @@ def calibrate(
     hover                           mean share of full thrust of a rotor in steady hover
     thrust_offset (n)               extra thrust (+) of each rotor relative to that mean: trim of this build
     whole_flight                    a table for each flight: whole_flight.Features.from_dict reads them
-    dynamics                        motion gains and noise (engine/host/learning.py), when the flights show enough
+    dynamics                        motion gains and noise (engine/bindings/learning.py), when the flights show enough
 
     flights: healthy flights of one build, or their log files; others are rejected, as `assumptions` state (`baselines.healthy`). progress:
     called with the finished share. dynamics: called as dynamics(list of ticks.Ticks, B) -> mapping of floats and lists, in place of learn.

@@ -13,15 +13,15 @@ from rotorwatch.base import discovery
 from rotorwatch.base.progress import READ, portion
 from rotorwatch.case.departures import Departures
 from rotorwatch.case.verdict import Estimated, Judgement, LogCase, judge
+from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.program import TickOutput
 from rotorwatch.engine.driver import fly
-from rotorwatch.engine.front.decisions import MATTERS
-from rotorwatch.engine.host import events
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.program import TickOutput
-from rotorwatch.engine.motion import mixing, ticks, turning
-from rotorwatch.engine.motion.airborne import airborne, gaps
+from rotorwatch.engine.events.decisions import MATTERS
+from rotorwatch.engine.motion import mixing, tick_table, turning
+from rotorwatch.engine.motion.flights import airborne, gaps
 from rotorwatch.engine.motion.missed import without_missed
-from rotorwatch.engine.motion.ticks import JUDGE, READY_KNOWN_S, READY_S, Ticks
+from rotorwatch.engine.motion.tick_table import JUDGE, READY_KNOWN_S, READY_S, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis
@@ -167,7 +167,7 @@ def prepare(
 def _flown(log: LogCase, progress: Callable[[float], object]) -> LogCase:
     """The log after the engine has been fed, and the method that judges it by default."""
     flight, dynamics, assumptions = log.flight, log.dynamics, list(log.assumptions)
-    if flight.has("motors") and dynamics and dynamics.get("dt") != ticks.length_of(flight):
+    if flight.has("motors") and dynamics and dynamics.get("dt") != tick_table.length_of(flight):
         assumptions.append(
             f"the healthy flights were logged at another rate (assessed every {dynamics.get('dt', 0):.2f} s): their noise does not "
             "apply to this flight, which learns its own for as long as without them"
@@ -176,11 +176,11 @@ def _flown(log: LogCase, progress: Callable[[float], object]) -> LogCase:
     # Without a gyro every swing at take-off looks like a missing torque: no short blind time then.
     turns, moves = flight.has("gyro"), flight.angular_rate() is not None
     ready_s = READY_KNOWN_S if dynamics and turns else READY_S
-    ready_s = ticks.ready_of(ready_s, log.air) if turns else ready_s
+    ready_s = tick_table.ready_of(ready_s, log.air) if turns else ready_s
     flown = fly(flight, log.vehicle, log.air, ready_s, dynamics, progress) if moves else None
     written, done = (None, None) if flown is None else (flown[0], Estimated(flown[1].table, flown[1].out, written=flown[0]))
     hovers = not aerobatic.applies(flight, None if done is None else done.table)
-    ready_s = ticks.ready_after(ready_s, 0.0 if done is None else done.table.dt)
+    ready_s = tick_table.ready_after(ready_s, 0.0 if done is None else done.table.dt)
     if done is not None and not hovers:
         done = Estimated(*aerobatic.estimate(flight, log.vehicle, log.air, done.table))
     if not hovers:
@@ -209,7 +209,7 @@ def _no_flight(log: LogCase, clock: _Clock) -> Diagnosis:
     told = witness.ask(Stage.CLAIMS, view)
     if not log.air:  # of a log without a flight only why the autopilot ended it
         told = tuple(e for e in told if e.extra.get("trouble") in conclusion.GRAVE)
-    found = ledger.merge(told, events.Report(B), log.upsets, n).events
+    found = ledger.merge(told, event_rows.Report(B), log.upsets, n).events
     names = places.names(log.vehicle.rotors)
     end = conclusion.conclude(conclusion.Evidence(found, n, places=names, hops=log.air, unjudged=why))
     return _answer(end, log, {}, clock, doubts=() if any(e.means.wrong for e in found) else (why.why,))

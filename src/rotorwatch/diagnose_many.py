@@ -11,7 +11,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rotorwatch import gathering, logs
-from rotorwatch.engine.front.decisions import MATTERS
+from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import SCHEMA, Diagnosis

@@ -13,8 +13,8 @@ import numpy as np
 
 from rotorwatch import __version__
 from rotorwatch.base import files, optional
+from rotorwatch.flight.display import table
 from rotorwatch.flight.method_series import MethodSeries
-from rotorwatch.flight.notebook import table
 from rotorwatch.report import colours, html, markup, percent, seconds, words
 from rotorwatch.report.method_plots import axis, drawn, label, limits
 from rotorwatch.report.still import DASHES

@@ -6,13 +6,13 @@ health.py       grade of every rotor's loss, and its trend
 trend.py        slope of a line under errors that wander, with its interval
 unjudged.py     why a flight could not be judged, or shows too little, and what would show more
 unseen.py       the largest undetected loss, and lasting steps that wind could mask
-trim.py         the trim of a whole flight: losses that grew, mounts and arms that turned
+drift.py        the trim of a whole flight: losses that grew, mounts and arms that turned
 slow.py         losses that grew slowly or only seemed to end, merged with the others
 from_takeoff.py damage from take-off, by comparison with healthy flights or vehicles
 story.py        the sequence of a loss of control
 ledger.py       all claims on a flight, and the rule that makes events of them
 falls.py        the events with those of a loss of control
-evidence.py     the input to the conclusion
+findings.py     the input to the conclusion
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 by_method.py    an answer by a published method, with its own losses and intervals
 advice.py       recommended actions

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from rotorwatch.answer.unjudged import OUTPUTS
 from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
-from rotorwatch.engine.front.decisions import TOTAL_LOSS
+from rotorwatch.engine.events.decisions import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.flight.kinds import CONTACT, DESYNC, LOST, REPORTED, Weight
 

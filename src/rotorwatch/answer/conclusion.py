@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.answer import advice, health, ledger, story
-from rotorwatch.answer.evidence import Evidence, together
+from rotorwatch.answer.findings import Evidence, together
 from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import SCALE, candidates, grows, headline, interval, listed, percent, rotors, said, seconds, sentence, up_to
-from rotorwatch.engine.front.decisions import MENTIONED, TOTAL_LOSS
+from rotorwatch.engine.events.decisions import MENTIONED, TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine
 from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
 

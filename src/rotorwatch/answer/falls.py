@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorwatch.engine.front.decisions import CREDIBLE, SAME_S, SURE
+from rotorwatch.engine.events.decisions import CREDIBLE, SAME_S, SURE
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE, REPORTED
 

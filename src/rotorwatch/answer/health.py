@@ -25,8 +25,8 @@ import numpy as np
 from rotorwatch.answer import trend as line
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.estimator.plant import USUAL_S
-from rotorwatch.engine.front.ticks import CARRIES
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.intake.ticks import CARRIES
+from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
 
 UNGRADED = "not judged"

@@ -38,10 +38,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rotorwatch.answer import falls, slow
-from rotorwatch.answer.trim import Growth
+from rotorwatch.answer.drift import Growth
+from rotorwatch.engine.bindings.event_rows import HINDSIGHT, Report, accuses, packed, shared, unexplained
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.front import whole
-from rotorwatch.engine.host.events import HINDSIGHT, Report, accuses, packed, shared, unexplained
+from rotorwatch.engine.events import calls
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, ORDER, OVERRIDE, TURNED, Weight
 
@@ -114,6 +114,6 @@ def main_event(events: Sequence[Event]) -> int | None:
         return swapped
     order = [i for i, e in enumerate(events) if e.means.accuses]
     named = [replace(events[i], kind=LOSS if events[i].means.weakens else OVERRIDE) for i in order]
-    place = ENGINE.call(whole.most_important, packed(named), len(named))
+    place = ENGINE.call(calls.most_important, packed(named), len(named))
     upsets = (i for i, e in enumerate(events) if e.means.weight is Weight.UPSET)
     return order[place] if place >= 0 else next(upsets, None)

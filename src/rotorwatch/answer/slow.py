@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rotorwatch.answer.trim import Growth
+from rotorwatch.answer.drift import Growth
+from rotorwatch.engine.bindings import residual_evidence
+from rotorwatch.engine.bindings.event_rows import TRIM, packed
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.front.events import GREW, STAYS
-from rotorwatch.engine.host import residual_evidence
-from rotorwatch.engine.host.events import TRIM, packed
-from rotorwatch.engine.trim import many
+from rotorwatch.engine.drift import many
+from rotorwatch.engine.events.events import GREW, STAYS
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOSS
 
 
 def join(losses: Sequence[Event], grown: Growth | None) -> tuple[Event, ...]:
-    """The losses of a flight with the one that the trim shows, if it is certain (`engine.trim.told.Growth.join`)."""
+    """The losses of a flight with the one that the trim shows, if it is certain (`engine.drift.outcome.Growth.join`)."""
     if grown is None or not grown.certain:
         return tuple(losses)
     room = len(losses) + 1

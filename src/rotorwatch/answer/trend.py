@@ -1,6 +1,6 @@
 """The slope of a straight line under errors that wander by an unknown amount, with its interval.
 
-    y_k = a + b t_k + w_k + v_k,      w: a random walk with steps of variance s2,      v: white, of variance q s2 (`engine/trim/fit.py`)
+    y_k = a + b t_k + w_k + v_k,      w: a random walk with steps of variance s2,      v: white, of variance q s2 (`engine/drift/fit.py`)
 
 the local-level model with a drift. For each q of a grid the slope is that of generalised least squares, Student's t with N - 2 degrees of
 freedom, and the likelihood of q is the restricted one: a, b and log s2 integrated out with flat priors. The interval is that of the
@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.trim.fit import DOUBT, WHITE
-from rotorwatch.engine.trim.stretch import LEAST
+from rotorwatch.engine.drift.fit import DOUBT, WHITE
+from rotorwatch.engine.drift.stretch import LEAST
 from rotorwatch.errors import ConfigError
 from rotorwatch.stats.tails import student_density, student_shares
 

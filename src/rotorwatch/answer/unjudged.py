@@ -10,10 +10,10 @@ from rotorwatch.answer import context
 from rotorwatch.answer.wording import listed, seconds
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.front.ticks import UPSET_LEVEL
-from rotorwatch.engine.motion.airborne import commands
+from rotorwatch.engine.intake.ticks import UPSET_LEVEL
 from rotorwatch.engine.motion.allocation import Spans, within
-from rotorwatch.engine.motion.ticks import GROUND, LEARN, SHORTEST_S, Ticks
+from rotorwatch.engine.motion.flights import commands
+from rotorwatch.engine.motion.tick_table import GROUND, LEARN, SHORTEST_S, Ticks
 from rotorwatch.flight import Flight
 
 SHAKEN = G0  # m/s^2: vibration as large as the weight, which masks lift-off, landing and thrust

@@ -33,21 +33,21 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
+from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, plant
-from rotorwatch.engine.front.decisions import CERTAIN_NATS
-from rotorwatch.engine.front.losses import WITHIN_95
-from rotorwatch.engine.front.ticks import CARRIES
-from rotorwatch.engine.front.vehicle import YAW
-from rotorwatch.engine.host import events, residual_evidence
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.events.decisions import CERTAIN_NATS
+from rotorwatch.engine.events.losses import WITHIN_95
+from rotorwatch.engine.intake.craft import YAW
+from rotorwatch.engine.intake.ticks import CARRIES
+from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOST
 from rotorwatch.stats.tails import student_quantile
 
 
 def _step_explained(claim: Event, known: Event) -> bool:
-    return known.means.wrong or known.source.name == events.TRIM.name
+    return known.means.wrong or known.source.name == event_rows.TRIM.name
 
 
 STEPS = Source("steps", 11, _step_explained)
@@ -177,7 +177,7 @@ class Unseen:
             return ()  # battery and payload change as well between two flights
         sure, rotor = np.unravel_index(odds.argmax(), odds.shape)
         rotors = tuple(int(i) + 1 for i in who[step.nats[who].argsort()[::-1]])
-        half = WITHIN_95 * events.sd_of(step.loss, step.half / WITHIN_95, self.B)
+        half = WITHIN_95 * event_rows.sd_of(step.loss, step.half / WITHIN_95, self.B)
         low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
         interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
         since = float(here.onset[sure, who[rotor]])
@@ -274,7 +274,7 @@ class _Steps(NamedTuple):
         if not len(self.before):
             return np.ones(self.loss.shape[1])
         loss = np.maximum(self.loss, 0.0)
-        upper = loss + WITHIN_95 * events.sd_of(loss, self.half() / WITHIN_95, B)
+        upper = loss + WITHIN_95 * event_rows.sd_of(loss, self.half() / WITHIN_95, B)
         edge = max(0, min(FIRM, self.N // 4) - SPELL)
         return np.minimum(upper[edge : len(upper) - edge].max(axis=0), 1.0)
 

@@ -6,9 +6,9 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 
-from rotorwatch.engine.front.decisions import MATTERS, TOTAL_LOSS
-from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.engine.trim.told import WORN
+from rotorwatch.engine.drift.outcome import WORN
+from rotorwatch.engine.events.decisions import MATTERS, TOTAL_LOSS
+from rotorwatch.engine.motion.flights import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
 

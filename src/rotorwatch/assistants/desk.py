@@ -10,9 +10,9 @@ from typing import Any
 
 from rotorwatch import airframes
 from rotorwatch.assistants import answers, work
+from rotorwatch.assistants.fleet_access import Fleet
 from rotorwatch.assistants.folders import Folders
 from rotorwatch.assistants.quoted import quoted
-from rotorwatch.assistants.store import Fleet
 from rotorwatch.assistants.work import Question
 from rotorwatch.base.many.limited import TooMuch, Workers
 from rotorwatch.errors import ConfigError

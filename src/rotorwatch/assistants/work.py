@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rotorwatch import airframes
-from rotorwatch.assistants import answers, quoted, series
+from rotorwatch.assistants import answers, quoted, signal_rows
 from rotorwatch.assistants.folders import Allowed
 from rotorwatch.base import discovery, optional
 from rotorwatch.errors import ConfigError, LogError, VehicleError
@@ -188,7 +188,7 @@ def _event(question: Question, more: dict) -> dict[str, Any]:
 def _series(question: Question, more: dict) -> dict[str, Any]:
     diagnosis = _judged(question)
     wanted = [more[name] for name in ("what", "rotor", "start_s", "end_s", "most")]
-    return {"log": quoted.quoted(_name(question))} | _ours(series.sampled, diagnosis, *wanted)
+    return {"log": quoted.quoted(_name(question))} | _ours(signal_rows.sampled, diagnosis, *wanted)
 
 
 def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:

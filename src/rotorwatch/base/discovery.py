@@ -52,7 +52,7 @@ GROUPS = {
     "rotorwatch.sections": "report section",
 }
 OURS = "rotorwatch"  # our distribution; its classes come first
-DEFAULT = "rotorwatch.engine.host"  # the package that holds the default estimator and its plant
+DEFAULT = "rotorwatch.engine.bindings"  # the package that holds the default estimator and its plant
 
 
 class Source(NamedTuple):

@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from rotorwatch.answer import ledger, slow, trim, unseen
+from rotorwatch.answer import drift, ledger, slow, unseen
 from rotorwatch.answer.ledger import Merged
-from rotorwatch.case.consistency import MEMORY_S, Consistency
 from rotorwatch.case.departures import WINDOW_S, Departures
+from rotorwatch.case.link_consistency import MEMORY_S, Consistency
+from rotorwatch.engine.bindings import event_rows as events
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.driver import Driver, Piece
-from rotorwatch.engine.host import events
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.deviations import in_flight
-from rotorwatch.engine.motion.ticks import JUDGE, Plan, Ticks, grounded, joined
+from rotorwatch.engine.motion.overrides import in_flight
+from rotorwatch.engine.motion.tick_table import JUDGE, Plan, Ticks, grounded, joined
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
@@ -45,7 +45,7 @@ class Case:
         self.ticks = 0
         self.last: Judged | None = None  # the newest ticks
         self.unseen: unseen.Unseen | None = None
-        self.grown: trim.Growth | None = None
+        self.grown: drift.Growth | None = None
         self._turned: tuple[Event, ...] = ()
         self._growths = 0  # 1 where the trim changes the losses
         self._looks = 0
@@ -166,7 +166,7 @@ class Case:
     def _look_at_trim(self, diagnoser: Diagnoser) -> None:
         if (looks := int(diagnoser.trim["looks"][0])) != self._looks:
             self._looks = looks
-            self.grown, self._turned = trim.growth(diagnoser.trim), trim.mounts(diagnoser.trim)
+            self.grown, self._turned = drift.growth(diagnoser.trim), drift.mounts(diagnoser.trim)
             losses = diagnoser.losses.events(flies=not self.over)
             self._growths = int(slow.join(losses, self.grown) != losses)
 

@@ -9,20 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorwatch.answer import conclusion, health, ledger, places, slow, trim, unjudged, unseen, wording
+from rotorwatch.answer import conclusion, drift, health, ledger, places, slow, unjudged, unseen, wording
 from rotorwatch.base.arrays import median
 from rotorwatch.base.progress import portion
 from rotorwatch.case.conductor import settled
+from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.program import TickOutput, threshold
 from rotorwatch.engine.diagnoser import Written
-from rotorwatch.engine.front.decisions import MATTERS
-from rotorwatch.engine.host import events, residual_evidence
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.program import TickOutput, threshold
+from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.engine.motion import trust
-from rotorwatch.engine.motion.airborne import Gap
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.deviations import in_flight
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.motion.flights import Gap
+from rotorwatch.engine.motion.overrides import in_flight
+from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE
@@ -110,11 +110,11 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     assert log.written is not None and log.table is not None
     n, written, hover_model = B.shape[1], done.written, done.default and log.hovers
     # Contacts of a vehicle that does not hover are its manoeuvres.
-    report = log.written.report if log.hovers else events.Report(B).add(table, log.air).finish(log.air)
+    report = log.written.report if log.hovers else event_rows.Report(B).add(table, log.air).finish(log.air)
     grown, turned = None, ()
     if hover_model:
-        slow_changes = written.trim if written is not None else trim.look(out, table, B)
-        grown, turned = trim.growth(slow_changes), trim.mounts(slow_changes)
+        slow_changes = written.trim if written is not None else drift.look(out, table, B)
+        grown, turned = drift.growth(slow_changes), drift.mounts(slow_changes)
 
     def merge(claims: Events) -> ledger.Merged:
         return ledger.merge(claims, report, log.upsets, n, grown)
@@ -124,8 +124,8 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
         dynamics=log.dynamics, learned=None if written is None else written.learned, lost=log.lost,
         merged=lambda claims: merge(claims).events,
     )  # fmt: skip
-    losses = events.read(out, table, B, None if written is None else written.losses)
-    others = (*map(events.overridden, in_flight(log.written.overrides, log.air)), *turned)
+    losses = event_rows.read(out, table, B, None if written is None else written.losses)
+    others = (*map(event_rows.overridden, in_flight(log.written.overrides, log.air)), *turned)
     merged, found = settled(losses, others, merge, view)
     tell(0.1)
     together = wording.together(merged.shared)
@@ -199,4 +199,4 @@ def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray, hovers: bool)
         return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
     measured = 1.96 * median(out.detectable[judged], axis=0)
     single = np.minimum(1.0, np.maximum(measured, seen.losses()))
-    return single, min(1.0, seen.pair(events.opposites(B)))
+    return single, min(1.0, seen.pair(event_rows.opposites(B)))

@@ -277,9 +277,9 @@ def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
 @common
 def report(store, out, quiet) -> None:
     """Write DIR/index.html and a page for each aircraft, which need no network."""
-    from rotorwatch.fleet import pages
+    from rotorwatch.fleet import fleet_pages
 
-    paths = pages.write(store, out)
+    paths = fleet_pages.write(store, out)
     click.echo(f"{len(paths)} pages written; begin with {paths[0]}")
 
 
@@ -289,7 +289,7 @@ def report(store, out, quiet) -> None:
 @common
 def export(store, out, quiet) -> None:
     """Write flights, aircraft, rotors and services as Parquet files (extra `parquet`)."""
-    from rotorwatch.fleet import export as run
+    from rotorwatch.fleet import csv_export as run
 
     paths = run.export(store, out)
     click.echo("\n".join(map(str, paths)))

@@ -1,8 +1,9 @@
 """From samples to events: the same for logs, links and boards.
 
-front/         samples -> ticks, and announcements of the estimator -> events
+intake/        samples -> ticks
 estimator/     the default estimator: ticks in, losses and evidence out
-trim/          slow changes in the trim of a whole flight
+drift/         slow changes in the trim of a whole flight
+events/        announcements of the estimator -> events and texts
 engine.py      these joined: samples in, events out
 feed.py        many samples in one call
 definition.py  all of these, one definition: run as machine code, or by Python
@@ -10,5 +11,5 @@ diagnoser.py   a vehicle's engine in Python, with its checkpoints
 window.py      the newest samples of a vehicle
 driver.py      plans, feeds and rolls back a diagnoser: the only place that steps the engine
 motion/        ticks as tables; whether a log is consistent
-host/          Python around the estimator: run over ticks, its losses in words, learning from healthy flights
+bindings/      Python around the compiled definitions
 """

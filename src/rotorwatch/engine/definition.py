@@ -12,6 +12,8 @@ from rotorwatch.base.arrays import distinct
 from rotorwatch.base.compiling.running import Definition, Rows
 from rotorwatch.base.compiling.shipped import files_in
 from rotorwatch.engine import engine, feed
+from rotorwatch.engine.drift import drift_sizes as trim_sizes
+from rotorwatch.engine.drift import fit, many, outcome, stretch, time_blocks, trim, weighing
 from rotorwatch.engine.estimator import (
     announcement,
     bank,
@@ -26,43 +28,29 @@ from rotorwatch.engine.estimator import (
     plausibility,
     posterior,
 )
+from rotorwatch.engine.estimator import batch as estimator_whole
+from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
 from rotorwatch.engine.estimator import known as estimator_known
-from rotorwatch.engine.estimator import sizes as estimator_sizes
-from rotorwatch.engine.estimator import whole as estimator_whole
-from rotorwatch.engine.front import (
-    airborne,
-    changes,
-    contact,
-    decisions,
-    deviations,
-    events,
-    front,
-    losses,
-    mixer,
-    records,
-    sense,
-    sizes,
-    texts,
-    ticks,
-    vehicle,
-    whole,
-    words,
-)
-from rotorwatch.engine.trim import blocks, fit, many, stretch, told, trim, weighing
-from rotorwatch.engine.trim import sizes as trim_sizes
+from rotorwatch.engine.events import calls, changes, decisions, events, losses, records, texts, words
+from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer, sense, sizes, ticks
+from rotorwatch.engine.intake import craft as vehicle
 from rotorwatch.flight import Flight, Message
 
 FRONT = (decisions, vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words, texts)
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
-TRIM = blocks, stretch, fit, weighing, told, trim
+TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, *TRIM, engine, whole, estimator_whole, estimator_known, many, feed),
+    (*FRONT, *ESTIMATOR, *TRIM, engine, calls, estimator_whole, estimator_known, many, feed),
     SIZES,
-    [*(file for room in ("front", "estimator", "trim") for file in files_in(f"engine/{room}")), "engine/engine.py", "engine/feed.py"],
+    [
+        *(file for folder in ("intake", "estimator", "drift", "events") for file in files_in(f"engine/{folder}")),
+        "engine/engine.py",
+        "engine/feed.py",
+    ],
     vectors=True,
 )
 PIECE = 1 << 15  # samples

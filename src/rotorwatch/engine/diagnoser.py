@@ -10,17 +10,17 @@ import numpy as np
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
+from rotorwatch.engine.bindings import event_rows, program
+from rotorwatch.engine.bindings.program import Learned, TickOutput
 from rotorwatch.engine.definition import ENGINE, Samples
 from rotorwatch.engine.estimator.estimator import Result
-from rotorwatch.engine.front.ticks import Made
-from rotorwatch.engine.host import events, program
-from rotorwatch.engine.host.program import Learned, TickOutput
-from rotorwatch.engine.motion import deviations
-from rotorwatch.engine.motion.airborne import Gap
+from rotorwatch.engine.intake.ticks import Made
+from rotorwatch.engine.motion import overrides as deviations
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.contact import Contact
-from rotorwatch.engine.motion.deviations import Override
-from rotorwatch.engine.motion.ticks import Plan, Ticks, columns, joined, known_hover, laid_out
+from rotorwatch.engine.motion.flights import Gap
+from rotorwatch.engine.motion.knocks import Contact
+from rotorwatch.engine.motion.overrides import Override
+from rotorwatch.engine.motion.tick_table import Plan, Ticks, columns, joined, known_hover, laid_out
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
@@ -52,8 +52,8 @@ class Written(NamedTuple):
     """What a diagnoser leaves behind: losses, falls and contacts, the trim, outputs that have not followed the mixer, and what the
     estimator has come to."""
 
-    losses: events.Losses
-    report: events.Report
+    losses: event_rows.Losses
+    report: event_rows.Report
     trim: Rows
     overrides: tuple[Override, ...]
     learned: Learned
@@ -76,7 +76,7 @@ class Diagnoser:
         dynamics: what healthy flights have shown. Raises ConfigError for ticks of no length that is known."""
         self.vehicle, self._craft, self._mixing = vehicle, craft, mixing
         B = vehicle.effectiveness()
-        craft.set(coaxial=bool(events.vehicle(B)["coaxial"][0]))
+        craft.set(coaxial=bool(event_rows.vehicle(B)["coaxial"][0]))
         self._plant = program.laid_out(program.parameters(B, plan.dt, dynamics))
         self._engine = ENGINE.new(engine.Engine)
         self._room = ENGINE.array(Made, ROOM), ENGINE.array(Result, ROOM)
@@ -84,8 +84,8 @@ class Diagnoser:
         self._closed: list[tuple[float, float]] = []
         self._overrides: tuple[Override, ...] = ()
         self.contacts: tuple[Contact, ...] = ()
-        self.losses = events.Losses(B, self._engine.part("losses"))
-        self.report = events.Report(B, self._engine.part("report"))
+        self.losses = event_rows.Losses(B, self._engine.part("losses"))
+        self.report = event_rows.Report(B, self._engine.part("report"))
         self.trim = self._engine.part("trim")
         self.planned(plan)
         ENGINE.call(feed.begin, self._engine, self._plant)
@@ -177,7 +177,7 @@ class Diagnoser:
         """What is written down so far, of its own."""
         losses, report, trim = (self._engine.part(name).copy() for name in ("losses", "report", "trim"))
         B = self.vehicle.effectiveness()
-        return Written(events.Losses(B, losses), events.Report(B, report), trim, self.overrides, self.learned)
+        return Written(event_rows.Losses(B, losses), event_rows.Report(B, report), trim, self.overrides, self.learned)
 
     def _call(self, function, *arguments) -> int:
         """Ticks that a function of `feed` has made."""

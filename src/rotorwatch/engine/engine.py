@@ -10,22 +10,22 @@ many samples in one call and keeps the ticks (`feed`). Both do the same in the s
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, REAL, Real, Reals, Small, Struct, Time, array, copy, embedded, isnan, local, real
+from rotorwatch.engine.drift.many import SLICES
+from rotorwatch.engine.drift.trim import Trim
+from rotorwatch.engine.drift.weighing import IDLE
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
-from rotorwatch.engine.front.changes import Change, Changes
-from rotorwatch.engine.front.deviations import Override
-from rotorwatch.engine.front.events import Event, Report, main_event, verdict
-from rotorwatch.engine.front.front import Front
-from rotorwatch.engine.front.losses import Losses
-from rotorwatch.engine.front.records import Found, Records
-from rotorwatch.engine.front.sense import Plan
-from rotorwatch.engine.front.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
-from rotorwatch.engine.front.ticks import CARRIES, JUDGE, Made
-from rotorwatch.engine.front.vehicle import PITCH, ROLL, Vehicle
-from rotorwatch.engine.trim.many import SLICES
-from rotorwatch.engine.trim.trim import Trim
-from rotorwatch.engine.trim.weighing import IDLE
+from rotorwatch.engine.events.changes import Change, Changes
+from rotorwatch.engine.events.events import Event, Report, main_event, verdict
+from rotorwatch.engine.events.losses import Losses
+from rotorwatch.engine.events.records import Found, Records
+from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
+from rotorwatch.engine.intake.deviations import Override
+from rotorwatch.engine.intake.front import Front
+from rotorwatch.engine.intake.sense import Plan
+from rotorwatch.engine.intake.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
+from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
 
 PACE = 3.0  # ticks that are worked off in pieces in the length of one
 FINAL_S = 60.0  # what ended so long ago is not withdrawn any more

@@ -6,14 +6,14 @@ A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not 
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, REAL, Ints, Reals, Struct, Time, Times, copy, local
+from rotorwatch.engine.drift.many import SLICES
 from rotorwatch.engine.engine import Engine
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.estimator.plant import Plant, set_plant
-from rotorwatch.engine.front.sense import Plan
-from rotorwatch.engine.front.sizes import ROTORS
-from rotorwatch.engine.front.ticks import Made
-from rotorwatch.engine.front.vehicle import Vehicle
-from rotorwatch.engine.trim.many import SLICES
+from rotorwatch.engine.intake.craft import Vehicle
+from rotorwatch.engine.intake.sense import Plan
+from rotorwatch.engine.intake.sizes import ROTORS
+from rotorwatch.engine.intake.ticks import Made
 
 
 class Fed(Struct):

@@ -16,9 +16,9 @@ from rotorwatch import __version__, airframes
 from rotorwatch.base.compiling import structs
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine.definition import ESTIMATOR
-from rotorwatch.engine.estimator import sizes, whole
+from rotorwatch.engine.estimator import batch, estimator_sizes
 from rotorwatch.engine.estimator.estimator import Estimator
-from rotorwatch.engine.motion.ticks import JUDGE
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_diagnoser import plant_table, settings, text_of
 from rotorwatch.export.projects import Exported, saved
@@ -55,7 +55,7 @@ def export_default(
 def compose_project(name: str, vehicle: Vehicle, dt: float) -> Project:
     """The header and source NAME.h, NAME.c and an example, for a vehicle and ticks of dt seconds. Raises ConfigError for other ticks."""
     B = vehicle.effectiveness()
-    translation = Translation((*ESTIMATOR, whole), sizes)
+    translation = Translation((*ESTIMATOR, batch), estimator_sizes)
     values = settings(B, dt)
     plant = text_of(plant_table(vehicle, dt), "rw_plant", "rw_plant_default")
     text = translation.header("", name="estimator"), translation.source(f"{name}.h")
@@ -154,7 +154,7 @@ int main(void)
 
 def _bytes(kind: type[structs.Struct], values: dict[str, Any]) -> int:
     """Size of a struct with these values of the sizes, without gaps."""
-    usual = {size: values[name] for name, size in vars(sizes).items() if name.isupper() and name in values}
+    usual = {size: values[name] for name, size in vars(estimator_sizes).items() if name.isupper() and name in values}
     total = 0
     for name, field in kind.declared():
         inner, shape = (field.kind, field.shape) if isinstance(field, structs.Array) else (field, ())

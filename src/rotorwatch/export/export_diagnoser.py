@@ -20,17 +20,17 @@ from rotorwatch.base import checks
 from rotorwatch.base.compiling.body import exact
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine import definition, engine
+from rotorwatch.engine.bindings import event_rows, program
+from rotorwatch.engine.bindings.plant_rows import lower_rotors
+from rotorwatch.engine.drift import drift_sizes as trim_sizes
 from rotorwatch.engine.estimator import bank
-from rotorwatch.engine.estimator import sizes as engine_sizes
+from rotorwatch.engine.estimator import estimator_sizes as engine_sizes
 from rotorwatch.engine.estimator.bank import FIRST_LOSS
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Plant
-from rotorwatch.engine.front import sizes
-from rotorwatch.engine.host import events, program
-from rotorwatch.engine.host.plant import lower_rotors
-from rotorwatch.engine.motion import allocation, ticks
-from rotorwatch.engine.motion.contact import look_back
-from rotorwatch.engine.trim import sizes as trim_sizes
+from rotorwatch.engine.intake import sizes
+from rotorwatch.engine.motion import allocation, tick_table
+from rotorwatch.engine.motion.knocks import look_back
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import projects
 from rotorwatch.flight import kinds
@@ -58,7 +58,7 @@ def plant_table(vehicle: Vehicle, dt: float) -> dict[str, Any]:
 def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
     """Entries of rw_config.h for the effectiveness B (4, n) and the length of a tick."""
     n = B.shape[1]
-    opposite = max(1, sum(map(len, events.opposites(B).values())) // 2)
+    opposite = max(1, sum(map(len, event_rows.opposites(B).values())) // 2)
     pairs, places = n * (n - 1) // 2, sizes.PLACES
     states, directions = engine_sizes.PLANT_STATES + n, FIRST_LOSS + n
     return {
@@ -103,13 +103,13 @@ def vehicle_table(vehicle: Vehicle, output: tuple[float, float], yaw_headroom: f
     return {"rotors": len(vehicle.rotors), **allocation.table(vehicle, output, yaw_headroom), "coaxial": coaxial}
 
 
-def usual_plan(rate_hz: float, control_hz: float, gyro_hz: float, accel_hz: float, known: bool) -> ticks.Plan:
+def usual_plan(rate_hz: float, control_hz: float, gyro_hz: float, accel_hz: float, known: bool) -> tick_table.Plan:
     """A plan for outputs, controller, gyro and accelerometer at these rates; known: the noise was learned from healthy flights."""
-    dt = ticks.tick_length(max(rate_hz, control_hz))
+    dt = tick_table.tick_length(max(rate_hz, control_hz))
     half = dt / 2.0
-    ready_s = ticks.ready_after(ticks.READY_KNOWN_S if known else ticks.READY_S, dt)
+    ready_s = tick_table.ready_after(tick_table.READY_KNOWN_S if known else tick_table.READY_S, dt)
     periods = {"gyro": 1.0 / gyro_hz, "accel": 1.0 / accel_hz}
-    return ticks.Plan(dt, ready_s, ticks.LAG_S, half, "gyro", True, dict.fromkeys(periods, half), periods, ())
+    return tick_table.Plan(dt, ready_s, tick_table.LAG_S, half, "gyro", True, dict.fromkeys(periods, half), periods, ())
 
 
 def text_of(table: dict[str, Any], kind: str, name: str) -> str:
@@ -150,7 +150,7 @@ def definitions() -> dict[str, str]:
     }
 
 
-def files(vehicle: Vehicle, plan: ticks.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]) -> dict[str, str]:
+def files(vehicle: Vehicle, plan: tick_table.Plan, rates: tuple[float, float, float], tables: tuple[dict, dict]) -> dict[str, str]:
     """File name -> text of the library. rates: of outputs, gyro and accelerometer [Hz]; tables: of `vehicle_table`, `plan_table`."""
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     texts |= definitions()
@@ -192,10 +192,10 @@ def export_diagnoser(
     craft = airframes.named(vehicle) if isinstance(vehicle, str) else vehicle
     known = craft.identified or {}
     plan = usual_plan(rate_hz, control_hz, gyro_hz, accel_hz, bool(known.get("dynamics")))
-    if plan.dt > ticks.SHORTEST_S / 2.0:
+    if plan.dt > tick_table.SHORTEST_S / 2.0:
         raise ConfigError(f"Outputs at {rate_hz:g} Hz are too slow for on board: feed them at 8 Hz or more.")
     unit = (1000.0, 2000.0) if craft.curve.u_max > 2.0 else (0.0, 1.0)
-    tables = vehicle_table(craft, unit), ticks.table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
+    tables = vehicle_table(craft, unit), tick_table.table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
     texts = files(craft, plan, (rate_hz, gyro_hz, accel_hz), tables)
     sources = [name for name in texts if name.endswith(".c")]
     texts["example.c"] = projects.diagnoser_example(rate_hz, gyro_hz)

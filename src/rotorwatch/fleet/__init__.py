@@ -1,24 +1,24 @@
 """A store of flights and their aircraft, and the analysis of every aircraft and rotor over all its flights.
 
-judge.py            a log judged, as a store entry
+flight_result.py    a log judged, as a store entry
 summary.py          an answer as a line of a list
 tables.py           the tables, and the upgrade of older stores
 address.py          the store's location
 database.py         SQLite or PostgreSQL: transactions, and errors as sentences
 listing.py          filters and orders of lists of flights
-reports.py          the reports of flights, kept next to the store
+report_files.py     the reports of flights, kept next to the store
 damage.py           the damaged row of a store, when work on it has failed
 store.py            flights and aircraft: all reads and writes go through here
 add.py              logs into the store, once or as they come; its flights judged again
 scatter.py          scatter of healthy flights
-explain.py          changes of an aircraft: wear, damage, shifted weights, each with its evidence
+attribution.py      changes of an aircraft: wear, damage, shifted weights, each with its evidence
 prognosis.py        time at which a wearing rotor reaches a limit
 false_discovery.py  the rotors of a whole fleet that are named
 condition.py        whether an aircraft may fly, by its rotors and its flights
 assess.py           all of that together: the standing of every aircraft
 compare.py          two flights side by side
-pages.py            the standings as pages
-export.py           the store as Parquet files
+fleet_pages.py      the standings as pages
+csv_export.py       the store as Parquet files
 """
 
 from rotorwatch.fleet.address import default_url

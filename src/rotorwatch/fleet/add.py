@@ -13,7 +13,7 @@ from pathlib import Path
 from rotorwatch import __version__
 from rotorwatch.base import many
 from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError, VehicleError
-from rotorwatch.fleet import assess, judge
+from rotorwatch.fleet import assess, flight_result
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log, is_several
@@ -98,7 +98,7 @@ class _Judge:
 
     def __call__(self, log: str) -> Entry:
         with fetched(log) as path, _readable(log):
-            return replace(judge.entry(path, self.aircraft, self.vehicle), path=full(log))
+            return replace(flight_result.entry(path, self.aircraft, self.vehicle), path=full(log))
 
 
 @contextmanager
@@ -252,4 +252,4 @@ def _again(known: tuple[str, str]) -> Entry:
     with fetched(path) as here, _readable(path):
         if fingerprint(here)[1] != hash:
             raise LogError(f"{path} has changed.")
-        return judge.entry(here)
+        return flight_result.entry(here)

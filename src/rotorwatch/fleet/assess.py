@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch.engine.front.decisions import DAMAGED, MENTIONED
-from rotorwatch.fleet import condition, explain, false_discovery, listing, prognosis, scatter
-from rotorwatch.fleet.explain import CENTRE, STEP, WORN, Found, Series
+from rotorwatch.engine.events.decisions import DAMAGED, MENTIONED
+from rotorwatch.fleet import attribution, condition, false_discovery, listing, prognosis, scatter
+from rotorwatch.fleet.attribution import CENTRE, STEP, WORN, Found, Series
 from rotorwatch.fleet.store import Store
 from rotorwatch.stats import multivariate_t as student
 from rotorwatch.witnesses.healthy.whole_flight import LIMITED, SLOPE_BETWEEN_SD, of_wind
@@ -155,7 +155,7 @@ def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found
         starts = one.ended - np.diff(one.ended, prepend=0.0)
         cuts = tuple((k, rotor) for k, rotor, _ in one.services if k < len(y))
         series.append(Series(y, (between + c) * INFLATION, starts, G, one.use, cuts))
-    first = [explain.explain(s) for s in series]
+    first = [attribution.explain(s) for s in series]
     longer = _correlation_inflation([f.rest[s.use] for f, s in zip(first, series)])
     series = [replace(s, noise=s.noise * longer) for s in series]
     out = []
@@ -163,7 +163,7 @@ def _of_one_build(histories: list[History]) -> list[tuple[History, Series, Found
         others = [f for j, f in enumerate(first) if j != k]
         if len(others) >= SISTERS:
             s = _with_sisters(s, others, prior)
-        out.append((one, s, explain.explain(s), len(others)))
+        out.append((one, s, attribution.explain(s), len(others)))
     return out
 
 
@@ -282,8 +282,8 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
         "rotor": i + 1,
         "status": status,
         "named": bool(named and sure),
-        "loss": _round(explain.loss(max(e, 0.0), n)),
-        "interval": [_round(explain.loss(max(v, 0.0), n)) for v in (low, high)],
+        "loss": _round(attribution.loss(max(e, 0.0), n)),
+        "interval": [_round(attribution.loss(max(v, 0.0), n)) for v in (low, high)],
         "evidence": _round(float(found.evidence[i])),
         "candidates": sorted({c + 1 for k in unsure for c, p in found.candidates[k].items() if p > MENTIONED and c >= 0}),
         "or_centre_of_mass": any(found.candidates[k].get(-1, 0.0) > MENTIONED for k in unsure),
@@ -292,7 +292,7 @@ def _rotor(one: History, series: Series, found: Found, i: int, named: bool) -> d
 
 
 def _prognosis(one: History, series: Series, found: Found, i: int) -> dict:
-    outlook = prognosis.foresee(explain.lines(series, found, i), float(one.ended[-1]))
+    outlook = prognosis.foresee(attribution.lines(series, found, i), float(one.ended[-1]))
     table = {k: _round(v) for k, v in outlook.to_dict().items()}
     mean = float(one.ended[-1]) / len(one.rows)
     table["flights_left"] = None if outlook.hours is None else int(np.ceil(outlook.hours / mean))
@@ -323,7 +323,7 @@ def _size(atom: Any, value: np.ndarray, found: Found) -> Any:
     """A step as a loss (a gain below 0); wear as loss per hour; a shift of the centre as it is."""
     if atom.kind != STEP:
         return value.tolist() if atom.kind == CENTRE else float(value[0])
-    return float(np.copysign(explain.loss(abs(value[0]), len(found.now)), value[0]))
+    return float(np.copysign(attribution.loss(abs(value[0]), len(found.now)), value[0]))
 
 
 def _headline(table: Mapping) -> str:
@@ -353,7 +353,7 @@ def _outlook(p: Mapping) -> str:
 
 def _points(one: History, found: Found) -> dict:
     """For every flight: hash, utc, hours in the air when it ended, whether it was used, each rotor's loss by it alone and its deviation."""
-    n, lost = len(found.now), _round(explain.loss(found.own, len(found.now)).tolist())
+    n, lost = len(found.now), _round(attribution.loss(found.own, len(found.now)).tolist())
     return {
         "hash": [r["hash"] for r in one.rows],
         "utc": [r["utc"] for r in one.rows],
@@ -361,7 +361,7 @@ def _points(one: History, found: Found) -> dict:
         "used": one.use.tolist(),
         "loss": [row if use else None for row, use in zip(lost, one.use)],
         "sd": _round(found.own_sd.tolist()),
-        "explained": _round(explain.loss(found.e, n).tolist()),
+        "explained": _round(attribution.loss(found.e, n).tolist()),
     }
 
 

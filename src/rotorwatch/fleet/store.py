@@ -16,7 +16,7 @@ from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError, NotInStore, StoreError
 from rotorwatch.fleet import condition, listing, summary
 from rotorwatch.fleet.address import data_file
-from rotorwatch.fleet.reports import Reports
+from rotorwatch.fleet.report_files import Reports
 
 SHOWN = (
     "hash", "ordinal", "path", "name", "size", "aircraft", "identity", "utc", "clock_us", "count", "duration_s",

@@ -6,7 +6,7 @@ vehicle_kind.py      the kind of vehicle of a log, when it is no multirotor
 output_functions.py  which output drives which motor, by the autopilots' parameters
 vehicle.py           rotors, thrust curve, mixer, and learned parameters
 vehicle_file.py      the same as a TOML file
-notebook.py          display of a flight in notebooks
+display.py           display of a flight in notebooks
 kinds.py             the table of kinds of events: meaning and texts
 method_series.py     a method's own losses, states and innovations over a flight
 diagnosis.py         the answer: verdict, rotors, events and the evidence for them

@@ -251,9 +251,9 @@ class Flight:
         return f"<Flight {self.name or 'without a name'}: {about}, {self.duration:.1f} s, {held}>"
 
     def _repr_html_(self) -> str:
-        from rotorwatch.flight import notebook
+        from rotorwatch.flight import display
 
-        return notebook.page(self)
+        return display.page(self)
 
     def until(self, end: float) -> Flight:
         """The same flight as if the log had stopped at ``end`` seconds: the data of a live observer."""

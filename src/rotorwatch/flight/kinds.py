@@ -64,7 +64,7 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 
 
 class Kind(NamedTuple):
-    """number: in compiled definitions (engine/front/events.py) and on boards; a new kind takes the next one wherever its row is, and no
+    """number: in compiled definitions (engine/events/events.py) and on boards; a new kind takes the next one wherever its row is, and no
     number is ever reused. name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there.
     weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it assumes that the logged outputs drive the motors, and is
     dropped where they may not. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot. reason: of the

@@ -73,7 +73,7 @@ class ThrustCurve:
     @property
     def believed(self) -> tuple[float, float]:
         """expo and its standard deviation: an assumed one may be any from 0 to 1; a logged one is taken as it is, and its error counts in
-        the interval of a loss (engine/front/losses.py)."""
+        the interval of a loss (engine/events/losses.py)."""
         return self.expo, 0.0 if self.known else 0.35
 
     def __call__(self, u: np.ndarray, battery: np.ndarray | float = 1.0) -> np.ndarray:

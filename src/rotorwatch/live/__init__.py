@@ -1,7 +1,7 @@
 """Judging vehicles while they fly. Data flows one way, from bytes to alerts.
 
 endpoint.py   bytes of UDP, TCP and serial ports
-frames.py     bytes to valid MAVLink frames
+framing.py    bytes to valid MAVLink frames
 routes.py     the addresses that send under one id, and which of them is followed
 senders.py    number of senders behind one address
 clock.py      a vehicle's own time
@@ -11,8 +11,8 @@ requests.py   requests to a vehicle: parameters, rates, identity
 link.py       one endpoint: its frames by vehicle, recorded
 replay.py     a recorded flight instead of a link
 session.py    one vehicle: its case, and its state in words
-rotors.py     ESC telemetry of a flying vehicle
-changes.py    changes of the list of events
+esc_notices.py ESC telemetry of a flying vehicle
+alert_states.py changes of the list of events
 watched.py    one vehicle, its alerts so far, and the health of its link
 watch.py      all vehicles of all endpoints, in one loop
 guard.py      displays and alerts, whose failures must not end the judging

@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
+from rotorwatch.engine.bindings.event_rows import packed
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.front import whole, words
-from rotorwatch.engine.front.texts import GIVES
-from rotorwatch.engine.front.words import CRITICAL, NOTICE, WARNING
-from rotorwatch.engine.host.events import packed
+from rotorwatch.engine.events import calls, words
+from rotorwatch.engine.events.texts import GIVES
+from rotorwatch.engine.events.words import CRITICAL, NOTICE, WARNING
 from rotorwatch.flight.kinds import Span, Weight, kind_of
-from rotorwatch.live.changes import WITHDRAWN
-from rotorwatch.live.frames import Outgoing, outgoing
+from rotorwatch.live.alert_states import WITHDRAWN
+from rotorwatch.live.framing import Outgoing, outgoing
 from rotorwatch.live.link import Link
 from rotorwatch.live.watch import Source
 
@@ -133,7 +133,7 @@ def worth_sending(reported: tuple | None, alert: dict) -> bool:
 
 
 def text_of(alert: dict) -> tuple[str, int]:
-    """(a text of plain ASCII, severity) of an alert: engine/front/words.py. A loss of control is critical as well."""
+    """(a text of plain ASCII, severity) of an alert: engine/events/words.py. A loss of control is critical as well."""
     if alert["type"] == "notice":
         stopped = "stopped" in alert["text"]
         text = f"rotorwatch: ESC: rotor {alert['rotor']} {'stopped' if stopped else 'turns again'}"
@@ -151,7 +151,7 @@ def text_of(alert: dict) -> tuple[str, int]:
     if not _over(alert["event"]):
         event.end_s = None
     words_ = ENGINE.new(words.Words)
-    severity = ENGINE.call(whole.in_words, packed([event]), withdrawn, what, words_)
+    severity = ENGINE.call(calls.in_words, packed([event]), withdrawn, what, words_)
     text = bytes(words_["at"].reshape(-1)[: int(words_["length"][0])].tolist()).decode("ascii")
     return text, CRITICAL if upset and severity == WARNING else severity
 

@@ -19,7 +19,7 @@ from rotorwatch.flight.vehicle_kind import OTHERS
 from rotorwatch.live import mavlink, requests
 from rotorwatch.live.clock import Restarted
 from rotorwatch.live.endpoint import Endpoint
-from rotorwatch.live.frames import Frames, Outgoing, Sender
+from rotorwatch.live.framing import Frames, Outgoing, Sender
 from rotorwatch.live.outliers import Outliers
 from rotorwatch.live.record import Record
 from rotorwatch.live.routes import FADED_S, NEEDS, SIGNALS, SILENT_S, UNKNOWN_S, WORDS, Route, Routes

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Mapping
 
 from rotorwatch.base.backend import cache_folder
-from rotorwatch.live.frames import Outgoing, outgoing
+from rotorwatch.live.framing import Outgoing, outgoing
 
 SYSTEM, COMPONENT = 254, 191
 REQUEST_MESSAGE, SET_INTERVAL, GET_INTERVAL = 512, 511, 510

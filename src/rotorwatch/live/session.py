@@ -12,10 +12,10 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.answer.wording import rotors
 from rotorwatch.case.conductor import Case
+from rotorwatch.engine.bindings import event_rows as events
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.host import events
-from rotorwatch.engine.motion.airborne import Gap
-from rotorwatch.engine.motion.ticks import JUDGE, LEARN
+from rotorwatch.engine.motion.flights import Gap
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.engine.window import LATE
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event

@@ -11,7 +11,7 @@ from rotorwatch.answer.falls import CAUSES
 from rotorwatch.answer.wording import percent, said
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOST, Span
-from rotorwatch.live.changes import ANNOUNCED
+from rotorwatch.live.alert_states import ANNOUNCED
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 

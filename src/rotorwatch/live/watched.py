@@ -13,9 +13,9 @@ from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.live.changes import WITHDRAWN, Change, Changes
+from rotorwatch.live.alert_states import WITHDRAWN, Change, Changes
+from rotorwatch.live.esc_notices import Rotors
 from rotorwatch.live.guard import trouble
-from rotorwatch.live.rotors import Rotors
 from rotorwatch.live.session import Session
 
 Notify = Callable[[dict], None]

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import container, memory, parquet_pages
+from rotorwatch.logs import container, log_memory, parquet_pages
 
 FORMAT = "CSV or Parquet table"
 COMMON_ENDINGS = (".csv", ".parquet")
@@ -21,15 +21,15 @@ def sniff(head: bytes, name: str) -> bool:
     """True for Parquet, for text whose first line has a column time_s, and for .csv and .parquet names."""
     if name:
         return name.lower().endswith(COMMON_ENDINGS)
-    return head.startswith(_PARQUET) or "time_s" in memory.header(head)
+    return head.startswith(_PARQUET) or "time_s" in log_memory.header(head)
 
 
 def read(data, name: str, progress=None) -> Flight:
     """Read one table. Raises LogError naming what is unknown or missing, or when Parquet needs pyarrow installed."""
     notes: list[str] = []
     parquet = bytes(data[:4]) == _PARQUET
-    columns = _parquet(data) if parquet else memory.numbers(data, notes)
-    flight = memory.from_arrays(columns, name=name)
+    columns = _parquet(data) if parquet else log_memory.numbers(data, notes)
+    flight = log_memory.from_arrays(columns, name=name)
     return replace(flight, format="Parquet" if parquet else "CSV", warnings=(*notes, *flight.warnings))
 
 
@@ -41,7 +41,7 @@ def _parquet(data) -> dict[str, np.ndarray]:
         raise LogError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from None
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
-        memory.check_names(file.schema_arrow.names)  # before anything large is decoded
+        log_memory.check_names(file.schema_arrow.names)  # before anything large is decoded
         most = container.most(len(data))
         if parquet_pages.unfolded(data, file.metadata, most) > most:
             raise container.too_much(most)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import memory, px4_topics, series
+from rotorwatch.logs import log_memory, px4_topics, series
 from rotorwatch.logs.container import open_log
 
 FORMAT = "ulog2csv tables"
@@ -19,7 +19,7 @@ _TOPIC = re.compile(rf"(?:(?P<log>.*)_)?(?P<topic>{'|'.join(px4_topics.TOPICS)})
 
 def sniff(head: bytes, name: str) -> bool:
     """True for a text table whose first column is `timestamp`."""
-    return not name and memory.header(head)[:1] == ["timestamp"]
+    return not name and log_memory.header(head)[:1] == ["timestamp"]
 
 
 def read(data, name: str, progress=None) -> Flight:
@@ -28,7 +28,7 @@ def read(data, name: str, progress=None) -> Flight:
     if match is None:
         raise LogError(f"{name}: a ulog2csv table is named <log>_<topic>_<instance>.csv, with a topic that is read here")
     notes: list[str] = []
-    table = _integer_stamps(memory.numbers(data, notes, name))
+    table = _integer_stamps(log_memory.numbers(data, notes, name))
     return _flight({(match["topic"], int(match["instance"])): table}, notes)
 
 
@@ -51,7 +51,7 @@ def read_folder(path: Path, progress=None) -> Flight:
         data, name, warnings = open_log(file)
         notes += [f"{name}: {w}" for w in warnings]
         try:
-            tables[match["topic"], int(match["instance"])] = _integer_stamps(memory.numbers(data, notes, name))
+            tables[match["topic"], int(match["instance"])] = _integer_stamps(log_memory.numbers(data, notes, name))
         except LogError as error:
             notes.append(str(error))
         if progress:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from html import escape
 
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.flight.notebook import table
+from rotorwatch.flight.display import table
 from rotorwatch.report import VERDICTS, blocks, frame, sections
 
 

@@ -25,7 +25,7 @@ DRAIN_S = 10.0  # for reading on a too large upload, so that the client sees the
 RECEIVING, WAITING = 8, 50  # uploads received at once; logs on disk waiting to be judged
 PATIENCE_S = 60.0  # longest wait of a further upload for its turn, with its bytes unread
 AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to judge a log, doubled each time
-LOADS = ("rotorwatch.fleet.judge", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
+LOADS = ("rotorwatch.fleet.flight_result", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
 class Refused(RotorwatchError):
@@ -64,7 +64,7 @@ def judge(what: tuple[Log, str]) -> Entry | str:
     """A worker's job on (log, path of the page): writes the page, returns the flight for the store, or why the log holds none. Raises
     errors that are not due to the log."""
     from rotorwatch.diagnose import diagnose
-    from rotorwatch.fleet.judge import of_flight
+    from rotorwatch.fleet.flight_result import of_flight
     from rotorwatch.logs import read
     from rotorwatch.report.html import write
 

@@ -31,56 +31,56 @@ _PLACES = {
     "ExcitationNoise": "witnesses.null_space:Noise",
     "Exported": "export.projects:Exported",
     "GAIN": "engine.estimator.plant:GAIN",
-    "GROUND": "engine.motion.ticks:GROUND",
+    "GROUND": "engine.motion.tick_table:GROUND",
     "Given": "witnesses.healthy.baselines:Given",
-    "HOVER_LEARN_S": "engine.motion.ticks:HOVER_LEARN_S",
-    "Hypotheses": "engine.host.hypotheses:Hypotheses",
-    "JUDGE": "engine.motion.ticks:JUDGE",
-    "LAG_S": "engine.motion.ticks:LAG_S",
+    "HOVER_LEARN_S": "engine.motion.tick_table:HOVER_LEARN_S",
+    "Hypotheses": "engine.bindings.hypothesis_list:Hypotheses",
+    "JUDGE": "engine.motion.tick_table:JUDGE",
+    "LAG_S": "engine.motion.tick_table:LAG_S",
     "LogCase": "case.verdict:LogCase",
-    "LEARN": "engine.motion.ticks:LEARN",
+    "LEARN": "engine.motion.tick_table:LEARN",
     "LOSS_WIDTH": "engine.estimator.hypotheses:LOSS_WIDTH",
     "NOTHING": "engine.estimator.hypotheses:NOTHING",
     "NO_EFFECT": "witnesses.null_space:FLAT",
     "NO_LOSS": "engine.estimator.hypotheses:NONE",
     "PER_AXIS": "engine.estimator.plant:PER_AXIS",
     "PLACES": "engine.estimator.posterior:PLACES",
-    "PLANT_STATES": "engine.estimator.sizes:PLANT_STATES",
-    "READY_KNOWN_S": "engine.motion.ticks:READY_KNOWN_S",
-    "READY_S": "engine.motion.ticks:READY_S",
+    "PLANT_STATES": "engine.estimator.estimator_sizes:PLANT_STATES",
+    "READY_KNOWN_S": "engine.motion.tick_table:READY_KNOWN_S",
+    "READY_S": "engine.motion.tick_table:READY_S",
     "SMALL_WIDTH": "engine.estimator.hypotheses:SMALL_WIDTH",
     "Store": "fleet.store:Store",
     "TAU": "engine.estimator.plant:TAU",
     "TOTAL_SHARE": "engine.estimator.hypotheses:TOTAL_SHARE",
-    "TickOutput": "engine.host.program:TickOutput",
-    "Ticks": "engine.motion.ticks:Ticks",
+    "TickOutput": "engine.bindings.program:TickOutput",
+    "Ticks": "engine.motion.tick_table:Ticks",
     "aerobatic": "witnesses.aerobatic.judge",
-    "airborne": "engine.motion.airborne:airborne",
+    "airborne": "engine.motion.flights:airborne",
     "allocation": "engine.motion.allocation",
     "ambiguous_sets": "engine.motion.allocation:ambiguous_sets",
-    "any_multirotor": "engine.host.plant:any_multirotor",
+    "any_multirotor": "engine.bindings.plant_rows:any_multirotor",
     "assess": "fleet.assess",
     "attainable": "witnesses.attainable",
     "baselines": "witnesses.healthy.baselines",
-    "cut_ticks": "engine.motion.ticks:cut_ticks",
+    "cut_ticks": "engine.motion.tick_table:cut_ticks",
     "diagnose": "diagnose:diagnose",
     "esc_telemetry": "witnesses.esc.telemetry",
     "estimated": "diagnose:estimated",
-    "events": "engine.host.events",
+    "events": "engine.bindings.event_rows",
     "excitation_response": "witnesses.excitation_response",
     "export_default": "export.export_default",
-    "fleet_judge": "fleet.judge",
+    "fleet_judge": "fleet.flight_result",
     "judge": "case.verdict:judge",
-    "list_hypotheses": "engine.host.hypotheses:list_hypotheses",
+    "list_hypotheses": "engine.bindings.hypothesis_list:list_hypotheses",
     "noise_covariance": "witnesses.null_space:covariance",
     "null_space": "witnesses.null_space:null_space",
     "observe": "engine.driver:observe",
     "prepare": "diagnose:prepare",
     "prognosis": "fleet.prognosis",
-    "program": "engine.host.program",
-    "rotor_sets": "engine.host.events:rotor_sets",
+    "program": "engine.bindings.program",
+    "rotor_sets": "engine.bindings.event_rows:rotor_sets",
     "saved": "export.projects:saved",
-    "usual_gains": "engine.host.plant:usual_gains",
+    "usual_gains": "engine.bindings.plant_rows:usual_gains",
 }
 """Name -> module, or module:name, below rotorwatch."""
 
@@ -90,7 +90,7 @@ DEFINITIONS = {
         "plant", "noise", "model_error", "kalman", "bank", "hypotheses", "evidence", "announcement", "plausibility", "opposite",
         "posterior",
     )
-} | {file: f"rotorwatch.engine.front.{file}" for file in ("decisions", "losses")}  # fmt: skip
+} | {file: f"rotorwatch.engine.events.{file}" for file in ("decisions", "losses")}  # fmt: skip
 """Files of the default estimator's step, and of the definition that makes losses of its ticks -> their modules."""
 
 __all__ = [
@@ -165,9 +165,18 @@ if TYPE_CHECKING:
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose import estimated as estimated
     from rotorwatch.diagnose import prepare as prepare
+    from rotorwatch.engine.bindings import event_rows as events
+    from rotorwatch.engine.bindings import program as program
+    from rotorwatch.engine.bindings.event_rows import rotor_sets as rotor_sets
+    from rotorwatch.engine.bindings.hypothesis_list import Hypotheses as Hypotheses
+    from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses as list_hypotheses
+    from rotorwatch.engine.bindings.plant_rows import any_multirotor as any_multirotor
+    from rotorwatch.engine.bindings.plant_rows import usual_gains as usual_gains
+    from rotorwatch.engine.bindings.program import TickOutput as TickOutput
     from rotorwatch.engine.definition import ENGINE as ENGINE
     from rotorwatch.engine.driver import observe as observe
     from rotorwatch.engine.estimator.announcement import TICKS as ANNOUNCED_TICKS
+    from rotorwatch.engine.estimator.estimator_sizes import PLANT_STATES as PLANT_STATES
     from rotorwatch.engine.estimator.hypotheses import LOSS_WIDTH as LOSS_WIDTH
     from rotorwatch.engine.estimator.hypotheses import NONE as NO_LOSS
     from rotorwatch.engine.estimator.hypotheses import NOTHING as NOTHING
@@ -178,32 +187,23 @@ if TYPE_CHECKING:
     from rotorwatch.engine.estimator.plant import PER_AXIS as PER_AXIS
     from rotorwatch.engine.estimator.plant import TAU as TAU
     from rotorwatch.engine.estimator.posterior import PLACES as PLACES
-    from rotorwatch.engine.estimator.sizes import PLANT_STATES as PLANT_STATES
-    from rotorwatch.engine.host import events as events
-    from rotorwatch.engine.host import program as program
-    from rotorwatch.engine.host.events import rotor_sets as rotor_sets
-    from rotorwatch.engine.host.hypotheses import Hypotheses as Hypotheses
-    from rotorwatch.engine.host.hypotheses import list_hypotheses as list_hypotheses
-    from rotorwatch.engine.host.plant import any_multirotor as any_multirotor
-    from rotorwatch.engine.host.plant import usual_gains as usual_gains
-    from rotorwatch.engine.host.program import TickOutput as TickOutput
     from rotorwatch.engine.motion import allocation as allocation
-    from rotorwatch.engine.motion.airborne import airborne as airborne
     from rotorwatch.engine.motion.allocation import ambiguous_sets as ambiguous_sets
-    from rotorwatch.engine.motion.ticks import GROUND as GROUND
-    from rotorwatch.engine.motion.ticks import HOVER_LEARN_S as HOVER_LEARN_S
-    from rotorwatch.engine.motion.ticks import JUDGE as JUDGE
-    from rotorwatch.engine.motion.ticks import LAG_S as LAG_S
-    from rotorwatch.engine.motion.ticks import LEARN as LEARN
-    from rotorwatch.engine.motion.ticks import READY_KNOWN_S as READY_KNOWN_S
-    from rotorwatch.engine.motion.ticks import READY_S as READY_S
-    from rotorwatch.engine.motion.ticks import Ticks as Ticks
-    from rotorwatch.engine.motion.ticks import cut_ticks as cut_ticks
+    from rotorwatch.engine.motion.flights import airborne as airborne
+    from rotorwatch.engine.motion.tick_table import GROUND as GROUND
+    from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S as HOVER_LEARN_S
+    from rotorwatch.engine.motion.tick_table import JUDGE as JUDGE
+    from rotorwatch.engine.motion.tick_table import LAG_S as LAG_S
+    from rotorwatch.engine.motion.tick_table import LEARN as LEARN
+    from rotorwatch.engine.motion.tick_table import READY_KNOWN_S as READY_KNOWN_S
+    from rotorwatch.engine.motion.tick_table import READY_S as READY_S
+    from rotorwatch.engine.motion.tick_table import Ticks as Ticks
+    from rotorwatch.engine.motion.tick_table import cut_ticks as cut_ticks
     from rotorwatch.export import export_default as export_default
     from rotorwatch.export.projects import Exported as Exported
     from rotorwatch.export.projects import saved as saved
     from rotorwatch.fleet import assess as assess
-    from rotorwatch.fleet import judge as fleet_judge
+    from rotorwatch.fleet import flight_result as fleet_judge
     from rotorwatch.fleet import prognosis as prognosis
     from rotorwatch.fleet.store import Store as Store
     from rotorwatch.witnesses import attainable as attainable

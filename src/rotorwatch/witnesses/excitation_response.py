@@ -31,15 +31,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.bindings.event_rows import ESTIMATOR, read, sd_of
+from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, lower_rotors
+from rotorwatch.engine.bindings.program import estimate
+from rotorwatch.engine.bindings.residual_evidence import TRIM_S, TRIM_SD
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
-from rotorwatch.engine.front.decisions import CERTAIN, CREDIBLE
-from rotorwatch.engine.host.events import ESTIMATOR, read, sd_of
-from rotorwatch.engine.host.plant import AXIS_STATES, lower_rotors
-from rotorwatch.engine.host.program import estimate
-from rotorwatch.engine.host.residual_evidence import TRIM_S, TRIM_SD
-from rotorwatch.engine.motion.ticks import JUDGE, Ticks
+from rotorwatch.engine.events.decisions import CERTAIN, CREDIBLE
+from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.stats.nonnegative import least_squares

@@ -17,18 +17,18 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.bindings.learning import LEARNED_WEIGHT
+from rotorwatch.engine.bindings.plant_rows import any_multirotor, lower_rotors
+from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
-from rotorwatch.engine.host import events
-from rotorwatch.engine.host.learning import LEARNED_WEIGHT
-from rotorwatch.engine.host.plant import any_multirotor, lower_rotors
-from rotorwatch.engine.host.program import estimate
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
-SOURCE = Source(events.HINDSIGHT, 3)
+SOURCE = Source(event_rows.HINDSIGHT, 3)
 LOOK_S = 7.0  # beyond the blind time: long enough to announce a loss at its end, and to show that it lasts
 REST_S = 20.0  # of flight after the blind time, to learn gains and noise without it
 LEAST = 0.05  # lower end of a loss: after a few seconds the trim of a healthy rotor is not known better
@@ -122,7 +122,7 @@ def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
     starts = again.time[again.restart]
     ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
     losses = []
-    for event in events.read(out, again, B):
+    for event in event_rows.read(out, again, B):
         hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
         later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
         least = max(low for low, _ in event.interval)

@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.motion.ticks import GROUND, Ticks
+from rotorwatch.engine.motion.tick_table import GROUND, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS, TURNED

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base import discovery
-from rotorwatch.engine.host.program import Learned
+from rotorwatch.engine.bindings.program import Learned
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.ticks import Ticks, joined
+from rotorwatch.engine.motion.tick_table import Ticks, joined
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle

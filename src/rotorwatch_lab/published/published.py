@@ -1,7 +1,7 @@
 """A published method on a real flight, with outputs in the form of the default diagnoser's, so that all later stages are shared.
 
 Each hop of the flight becomes a plant and a table (log_plant.py), the method runs over it with the threshold of published/decide.py
-behind it, and its announcements are recorded as the default estimator's outputs are: engine/host/events.py and all after it
+behind it, and its announcements are recorded as the default estimator's outputs are: engine/bindings/event_rows.py and all after it
 do not know the difference. The losses there are the decision's; the method's raw output is kept beside them (own.py). What the default
 method does beyond - it tests every onset, competes losses against disturbances
 over whole windows, learns the noise on the way and refines a loss - a plain method does not, and `notes` says so.

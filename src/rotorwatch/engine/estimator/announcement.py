@@ -16,7 +16,7 @@ from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, pair
 from rotorwatch.engine.estimator.noise import MEMORY_S
 from rotorwatch.engine.estimator.plant import USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Plausible
-from rotorwatch.engine.front.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
 # Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds and plausibility
 # let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.

@@ -34,6 +34,7 @@ from rotorwatch.base.compiling.structs import (
     real,
     replaced,
 )
+from rotorwatch.engine.estimator.estimator_sizes import CROSSES, DIRECTIONS, ROTORS, SLOTS, STATES
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.plant import (
     ANSWER_S,
@@ -54,7 +55,6 @@ from rotorwatch.engine.estimator.plant import (
     dot,
     entry,
 )
-from rotorwatch.engine.estimator.sizes import CROSSES, DIRECTIONS, ROTORS, SLOTS, STATES
 
 GROUP, GROUPS = 16, 3  # slots of a group
 SHORT, LONG = (1, 2, 4), (1, 5, 3)  # ticks between the slots of a group: for short ticks, and from SLOW_S on

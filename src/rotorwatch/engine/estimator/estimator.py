@@ -12,6 +12,7 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import FLAG, LANES, REAL, Real, Struct, array, embedded, local, real, sqrt
 from rotorwatch.engine.estimator.announcement import Alarm
 from rotorwatch.engine.estimator.bank import Bank, Observed
+from rotorwatch.engine.estimator.estimator_sizes import HYPOTHESES, PLACES, ROTORS, SLOTS
 from rotorwatch.engine.estimator.evidence import Best, Evidence
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.kalman import Measured
@@ -41,9 +42,8 @@ from rotorwatch.engine.estimator.plant import (
 )
 from rotorwatch.engine.estimator.plausibility import Coupling, Missing, Plausible
 from rotorwatch.engine.estimator.posterior import Branches, lives
-from rotorwatch.engine.estimator.sizes import HYPOTHESES, PLACES, ROTORS, SLOTS
-from rotorwatch.engine.front.losses import WITHIN_95
-from rotorwatch.engine.front.ticks import GROUND, JUDGE
+from rotorwatch.engine.events.losses import WITHIN_95
+from rotorwatch.engine.intake.ticks import GROUND, JUDGE
 
 LEAST_USUAL = 0.1  # hover thrusts
 # Stages of a tick: all filters and the bank a tick ahead; the measurement to the filters and to the bank; explanations weighed; what each

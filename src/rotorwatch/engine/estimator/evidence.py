@@ -32,6 +32,7 @@ from rotorwatch.base.compiling.structs import (
 )
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slots, Window
+from rotorwatch.engine.estimator.estimator_sizes import DIRECTIONS, HYPOTHESES, ROTORS, SLOTS
 from rotorwatch.engine.estimator.hypotheses import (
     ALL_TORQUES,
     CLEAR,
@@ -62,8 +63,7 @@ from rotorwatch.engine.estimator.hypotheses import (
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THETA, THRUST, Plant
-from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, ROTORS, SLOTS
-from rotorwatch.engine.front.decisions import TOTAL_LOSS
+from rotorwatch.engine.events.decisions import TOTAL_LOSS
 
 DISTURBANCE_SCALE, DISTURBANCE_LEAST, DISTURBANCE_MOST = 3.0, 0.03, 1.0
 

@@ -17,10 +17,10 @@ import math
 
 from rotorwatch.base.compiling.structs import EACH, FLAG, REAL, Each, Eaches, Real, Reals, Struct, array, each, local, log, sqrt
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
+from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
-from rotorwatch.engine.estimator.sizes import ROTORS
-from rotorwatch.engine.front import decisions
-from rotorwatch.engine.front.losses import PAIR_WEIGHT
+from rotorwatch.engine.events import decisions
+from rotorwatch.engine.events.losses import PAIR_WEIGHT
 
 # Nats by which one explanation has to be better than another before that counts.
 CLEAR = log(decisions.CLEAR)

@@ -13,9 +13,9 @@ A loss is refined for USUAL_S, then taken as known, so that errors of the model 
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, real, sqrt
+from rotorwatch.engine.estimator.estimator_sizes import PRODUCTS, ROTORS, STATES
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
 from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows, entry
-from rotorwatch.engine.estimator.sizes import PRODUCTS, ROTORS, STATES
 
 # A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
 MOVING_S = 2.0

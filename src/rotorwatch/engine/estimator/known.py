@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Flags, Reals, local
+from rotorwatch.engine.estimator.batch import take
+from rotorwatch.engine.estimator.estimator_sizes import STATES
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import WHITE, Noise
 from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, Rows, dot, entry, rows
-from rotorwatch.engine.estimator.sizes import STATES
-from rotorwatch.engine.estimator.whole import take
 
 NO_BOUND = 1e30
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, local, real, sqrt
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.estimator.estimator_sizes import ROTORS, STATES
 from rotorwatch.engine.estimator.noise import CLIP, DRIFT, FAST, SLOW, WHITE, Noise
 from rotorwatch.engine.estimator.plant import (
     ANSWER_S,
@@ -30,7 +31,6 @@ from rotorwatch.engine.estimator.plant import (
     Inputs,
     Plant,
 )
-from rotorwatch.engine.estimator.sizes import ROTORS, STATES
 
 GARROTE = 2.5  # how many times its calm level motion must reach to stand out
 MOST = 6.0  # times its calm level that a square counts at most for it

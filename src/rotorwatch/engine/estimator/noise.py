@@ -12,8 +12,8 @@ multiplicative (expectation-maximisation) update keeps them positive and needs n
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Flags, Real, Reals, Struct, array, exp, local, sqrt
+from rotorwatch.engine.estimator.estimator_sizes import RING
 from rotorwatch.engine.estimator.plant import ANSWER_S, TAU, Plant
-from rotorwatch.engine.estimator.sizes import RING
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 LAG_COUNT = 7

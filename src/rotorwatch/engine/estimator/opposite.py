@@ -14,11 +14,11 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import LANES, Real, Struct, exp, log, one, real
 from rotorwatch.engine.estimator.announcement import Alarm, either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Window
+from rotorwatch.engine.estimator.estimator_sizes import SLOTS
 from rotorwatch.engine.estimator.evidence import Evidence
 from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR, SMALL_WIDTH, kind_of, other_rotor_of, rotor_of
 from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Missing, torque_free
-from rotorwatch.engine.estimator.sizes import SLOTS
 
 # rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off: no
 # loss lifts a vehicle

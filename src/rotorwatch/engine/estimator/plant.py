@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, real, sqrt
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.estimator.sizes import PLANT_STATES, ROTORS, STATES
-from rotorwatch.engine.front.vehicle import PITCH, ROLL, THRUST, YAW
+from rotorwatch.engine.estimator.estimator_sizes import PLANT_STATES, ROTORS, STATES
+from rotorwatch.engine.intake.craft import PITCH, ROLL, THRUST, YAW
 
 PER_AXIS = 5
 B1, B2, B3, GAIN, DAMPING = 0, 1, 2, 3, 4

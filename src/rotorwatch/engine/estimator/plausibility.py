@@ -8,13 +8,13 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import LANES, REAL, Real, Struct, array, exp, local, one, real, sqrt
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.bank import Slots
+from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.evidence import Best
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THRUST, USUAL_S, Inputs, Plant
-from rotorwatch.engine.estimator.sizes import ROTORS
 
 # Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05

@@ -35,6 +35,7 @@ from rotorwatch.base.compiling.structs import (
 )
 from rotorwatch.engine.estimator.announcement import either
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank, Slots
+from rotorwatch.engine.estimator.estimator_sizes import DIRECTIONS, HYPOTHESES, PLACES, ROTORS, STATES
 from rotorwatch.engine.estimator.evidence import Best, Evidence, Shift
 from rotorwatch.engine.estimator.hypotheses import (
     CLEAR,
@@ -49,8 +50,7 @@ from rotorwatch.engine.estimator.hypotheses import (
 from rotorwatch.engine.estimator.kalman import Branch, swap
 from rotorwatch.engine.estimator.opposite import contested
 from rotorwatch.engine.estimator.plant import BUILT_SD, BURST_S, THETA, USUAL_S, Plant, entry
-from rotorwatch.engine.estimator.sizes import DIRECTIONS, HYPOTHESES, PLACES, ROTORS, STATES
-from rotorwatch.engine.front.losses import YOUNG_S
+from rotorwatch.engine.events.losses import YOUNG_S
 
 TEMPER = 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old

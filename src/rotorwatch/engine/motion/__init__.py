@@ -1,15 +1,15 @@
-"""Commands and the motion that they caused: what is made of a flight before any estimator sees it. Causal throughout.
+"""Commands and the motion that they caused, as tables, before any estimator runs. Causal throughout.
 
-airborne.py     when it was in the air
+flights.py      when it was in the air
 turning.py      angular rates from the attitude where there is no gyro
-missed.py       outputs that the log shows again because it missed the next ones
+missed.py       repeated outputs where the log missed the next ones
 allocation.py   commands to the thrust of each rotor; rotors that cannot be distinguished
-mixing.py       the mixer and the clock of the outputs, by what the rate controller asked for
-samples.py      signals as the definitions take them
-deviations.py   outputs that deviate from the mixer
-contact.py      knocks: motion that no rotor can make
-ticks.py        one uniform table of all that
-inertial.py     gyro, attitude and the controller's rates, held against each other
+mixing.py       the mixer and the clock of the outputs, by the rate controller's demand
+samples.py      signals in the definitions' form
+overrides.py    outputs that deviate from the mixer
+knocks.py       knocks: motion that no rotor can make
+tick_table.py   one uniform table of all that
+inertial.py     gyro, attitude and the controller's rates, compared
 order.py        the order of the outputs, by the motion that follows them
-trust.py        is this what flew? the log held against itself
+trust.py        whether the log contradicts itself
 """

@@ -7,7 +7,7 @@ often fast. The autopilot turns c into thrust demands with its mixer M and its g
 
 so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f;
 PX4 often believes in a straight line (THR_MDL_FAC 0) that no motor follows: ``vehicle.extra["mixer_expo"]``. The definition of that is
-engine/front/mixer.py; here it runs over a whole flight.
+engine/intake/mixer.py; here it runs over a whole flight.
 
 All functions here are causal: a value at time s uses nothing logged after s.
 """
@@ -22,8 +22,9 @@ import numpy as np
 
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.engine.definition import ENGINE, KINDS, Part, craft, pieces
-from rotorwatch.engine.front import mixer, whole
-from rotorwatch.engine.front.front import HELD_S
+from rotorwatch.engine.events import calls
+from rotorwatch.engine.intake import mixer
+from rotorwatch.engine.intake.front import HELD_S
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 
@@ -156,14 +157,14 @@ def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarr
     valid."""
     control, n = flight["control"], len(vehicle.rotors)
     parts = [Part.of(flight, "motors"), Part.of(flight, "control", 4), Part("voltage", *voltages(flight))]
-    state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(whole.Done)
+    state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(calls.Done)
     checks, thrust, ok, at, waiting = [], np.empty((len(control), n)), np.empty((len(control), n), bool), 0, 0
     for samples in pieces(parts):
         outputs, controls = (int((samples.kind == KINDS[name]).sum()) for name in ("motors", "control"))
         waiting += outputs  # for a comparison: each has one at most
-        found, made = ENGINE.array(mixer.Comparison, waiting + 1), ENGINE.array(whole.Mixed, max(controls, 1))
+        found, made = ENGINE.array(mixer.Comparison, waiting + 1), ENGINE.array(calls.Mixed, max(controls, 1))
         arguments = (len(samples), samples.kind, samples.time, samples.at, samples.values)
-        ENGINE.call(whole.mix, state, craft, *arguments, found, made, done)
+        ENGINE.call(calls.mix, state, craft, *arguments, found, made, done)
         checks.append(found.cut(int(done["rows"][0])))
         waiting -= int(done["rows"][0])
         thrust[at : at + controls], ok[at : at + controls] = (made[name][:controls, :n] for name in ("thrust", "ok"))

@@ -1,7 +1,7 @@
 """The mixer that flew: motor outputs held against the rate controller's output of the same moment.
 
 An autopilot mixes the output c = (roll, pitch, yaw, throttle) of its rate controller into thrusts of all rotors, m(u) = g M c
-(engine/front/mixer.py). A log that holds both u and c therefore shows which mixer flew, whatever the weather and whatever a rotor gives.
+(engine/intake/mixer.py). A log that holds both u and c therefore shows which mixer flew, whatever the weather and whatever a rotor gives.
 Compared are differences between rotors, in windows of `WINDOW_S`, so that neither gain nor collective counts:
 
     cost[k, j] = sum (y_k - g d_j)^2 / sum y_k^2,        y of m(u),  d of M c,  g^2 = sum y^2 / sum d^2

@@ -15,7 +15,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from rotorwatch.base.arrays import quantile
-from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.engine.motion.tick_table import Ticks
 
 ALL_ORDERS = 6  # rotors, up to which every order is tried; of more, exchanges of two and turns about the frame
 LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind commands; over which trim is taken out

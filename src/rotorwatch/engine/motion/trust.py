@@ -18,7 +18,7 @@ from rotorwatch.base.arrays import median, quantile
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.motion import inertial, mixing, order, turning
 from rotorwatch.engine.motion.allocation import within
-from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.flight import Flight, Signal, output_functions
 from rotorwatch.flight.vehicle import Vehicle
 

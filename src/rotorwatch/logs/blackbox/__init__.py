@@ -3,10 +3,10 @@
 header.py      lines before the frames: settings, and the layout of frames
 encodings.py   the encoding of numbers, as a definition that is also machine code
 frames.py      frames from bytes, likewise
-sizes.py       sizes of the arrays in both
+frame_sizes.py sizes of the arrays in both
 decoder.py     a session as tables
 modes.py       flight modes by name
-flight.py      tables as signals: units, axes, ranges; which signal comes from which field
+assembly.py    tables as signals: units, axes, ranges; which signal comes from which field
 decoded.py     tables that blackbox_decode made of such logs
 
 A file holds a session for each time the vehicle was armed. LOG.BFL#2 is its second one; LOG.BFL alone is the longest.
@@ -21,7 +21,7 @@ import numpy as np
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs import series
-from rotorwatch.logs.blackbox import decoder, flight, frames, header, modes
+from rotorwatch.logs.blackbox import assembly, decoder, frames, header, modes
 
 FORMAT = "Blackbox"
 ENDINGS = (".bbl", ".bfl")
@@ -79,7 +79,7 @@ def read(data, name: str, progress=None, part: int | None = None) -> Flight:
     notes: list[str] = []
     for number in wanted:
         try:
-            session = decoder.decode(data, starts[number - 1], starts[number], progress, flight.used)
+            session = decoder.decode(data, starts[number - 1], starts[number], progress, assembly.used)
         except LogError as why:
             if number == wanted[-1]:
                 raise LogError(f"{name}: {why}") from None
@@ -98,10 +98,10 @@ def _flight(session: decoder.Session, name: str, number: int, notes: list[str]) 
     notes += _damage(session)
     first = session.time[0]
     time = (session.time - first) * 1e-6
-    columns = flight.Columns(session.main.columns, time, session.header, notes)
+    columns = assembly.Columns(session.main.columns, time, session.header, notes)
     counts = {"main": len(session.main), "slow": len(session.slow), "gps": len(session.gps), "event": len(session.events)}
     facts = {"session": number, "log_messages": {key: value for key, value in counts.items() if value}}
-    flown = flight.assembled(
+    flown = assembly.assembled(
         columns, FORMAT, name, facts=facts, signals=_gps(session, first, notes), messages=_messages(session, first),
         start_us=int(first),
     )  # fmt: skip
@@ -141,7 +141,7 @@ def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Si
         unknown = np.full(len(table), np.nan)
         altitude, speed = (np.asarray(table.columns.get(f"GPS_{n}", unknown), float) for n in ("altitude", "speed"))
         fixed = np.asarray(table.columns.get("GPS_numSat", np.full(len(table), LEAST_SATELLITES))) >= LEAST_SATELLITES
-        altitude = altitude * flight.altitude_unit(session.header)
+        altitude = altitude * assembly.altitude_unit(session.header)
         signals["gps"] = series.gps(time, degrees, altitude, speed / 100.0, fixed, "GPS_coord")
     return {name: signal for name, signal in signals.items() if signal is not None}
 
@@ -149,7 +149,7 @@ def _gps(session: decoder.Session, first: int, notes: list[str]) -> dict[str, Si
 def _messages(session: decoder.Session, first: int) -> tuple[Message, ...]:
     """Events, and changes of the failsafe's phase, in order of time."""
     messages: list[Message] = []
-    firmware = flight.autopilot(session.header)
+    firmware = assembly.autopilot(session.header)
     reasons, phases = (table.get(firmware, table[""]) for table in (REASONS, FAILSAFE))
     named = modes.messages(session, first)
     before, kinds, stamps = session.events[:, 0], session.events[:, 1], session.events[:, 2]

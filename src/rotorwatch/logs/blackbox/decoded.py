@@ -13,8 +13,8 @@ import numpy as np
 from rotorwatch.base.physics import G0
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import memory, series
-from rotorwatch.logs.blackbox import flight
+from rotorwatch.logs import log_memory, series
+from rotorwatch.logs.blackbox import assembly
 from rotorwatch.logs.blackbox.header import Header
 
 FORMAT = "Blackbox CSV"
@@ -27,16 +27,16 @@ VOLTS, AMPERES = {"V": 100.0, "mV": 0.1}, {"A": 100.0, "mA": 0.1}
 
 def sniff(head: bytes, name: str) -> bool:
     """True where the first line names the columns of main frames; never by name."""
-    names = {re.sub(r" \(.*\)$", "", column) for column in memory.header(head)}
+    names = {re.sub(r" \(.*\)$", "", column) for column in log_memory.header(head)}
     return {"loopIteration", "time"} <= names and bool(names & {"gyroADC[0]", "motor[0]"})
 
 
 def read(data, name: str, progress=None) -> Flight:
     """Read a table. Raises LogError without a column of time, or without lines of numbers."""
     notes: list[str] = []
-    named = [re.fullmatch(r"(.*?)(?: \((.*)\))?", column) for column in memory.header(bytes(data[: 1 << 16]))]
+    named = [re.fullmatch(r"(.*?)(?: \((.*)\))?", column) for column in log_memory.header(bytes(data[: 1 << 16]))]
     units = {m[1]: m[2] or "raw" for m in named if m is not None}
-    raw = memory.numbers(data, notes, wanted=lambda column: flight.used(re.sub(r" \(.*\)$", "", column)))
+    raw = log_memory.numbers(data, notes, wanted=lambda column: assembly.used(re.sub(r" \(.*\)$", "", column)))
     table = {re.sub(r" \(.*\)$", "", column): values for column, values in raw.items()}
     if "time" not in table or units["time"] not in TIMES:
         raise LogError(f"{name}: this table of blackbox_decode has no time in us or s")
@@ -63,6 +63,6 @@ def read(data, name: str, progress=None) -> Flight:
         else:
             table[column] = table[column] * factor
     notes.append("This is a table of blackbox_decode without the log's header: give the log itself, which has more data.")
-    columns = flight.Columns(table, time - start, Header(0, settings), notes)
-    flown = flight.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
+    columns = assembly.Columns(table, time - start, Header(0, settings), notes)
+    flown = assembly.assembled(columns, FORMAT, name, start_us=round(start * 1e6))
     return Flight(**{**vars(flown), "parameters": {}, "autopilot": "Betaflight", "warnings": tuple(notes)})

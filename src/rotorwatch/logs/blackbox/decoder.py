@@ -11,11 +11,11 @@ import numpy as np
 from rotorwatch.base.compiling.running import Definition
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
-from rotorwatch.logs.blackbox import encodings, frames, header, sizes
+from rotorwatch.logs.blackbox import encodings, frame_sizes, frames, header
 from rotorwatch.logs.blackbox.header import Header
 
 FILES = [f"logs/blackbox/{name}.py" for name in ("encodings", "frames", "sizes")]
-BLACKBOX = Definition("blackbox", (encodings, frames), sizes, FILES)
+BLACKBOX = Definition("blackbox", (encodings, frames), frame_sizes, FILES)
 CELLS, FEW = 1 << 21, 4096
 """Numbers of main frames, and rows of other frames, that are read before the buffers are emptied."""
 MOST_CELLS = 200_000_000
@@ -68,7 +68,7 @@ def decode(
     Raises LogError where the header is too damaged, or no main frame is readable."""
     about = header.read(data, start, end)
     size = end - about.start
-    raw = np.zeros(size + sizes.PADDING, np.uint8)
+    raw = np.zeros(size + frame_sizes.PADDING, np.uint8)
     raw[:size] = np.frombuffer(data, np.uint8, size, about.start)
     stream = BLACKBOX.new(frames.Stream)
     header.fill(stream, about)
@@ -77,7 +77,7 @@ def decode(
     room = max(min(CELLS // widths[0], size // 8), 64)
     main = np.zeros((room + 1, widths[0]), np.int32)  # a frame is decoded before it is validated
     slow, gps = (np.zeros((FEW + 1, width + 1), np.int32) for width in widths[1:])
-    events = np.zeros((FEW + 1, sizes.WIDTH), np.int32)
+    events = np.zeros((FEW + 1, frame_sizes.WIDTH), np.int32)
     chunks: list[list[np.ndarray]] = [[], [], [], []]
     names = about.layouts["I"].names
     used = np.array([k for k, name in enumerate(names) if name == "time" or wanted(name)])

@@ -29,7 +29,7 @@ from rotorwatch.logs.blackbox.encodings import (
     tag8_8svb,
     unsigned_vb,
 )
-from rotorwatch.logs.blackbox.sizes import CYCLE, FIELDS, WIDTH
+from rotorwatch.logs.blackbox.frame_sizes import CYCLE, FIELDS, WIDTH
 
 INTRA, INTER, SLOW, GPS, HOME = 0, 1, 2, 3, 4
 _I, _P, _S, _G, _H, _E = 73, 80, 83, 71, 72, 69

@@ -17,7 +17,7 @@ import numpy as np
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.errors import LogError
 from rotorwatch.logs.blackbox import encodings, frames
-from rotorwatch.logs.blackbox.sizes import CYCLE, FIELDS
+from rotorwatch.logs.blackbox.frame_sizes import CYCLE, FIELDS
 
 START, FIELDS_START = b"H Product:Blackbox", b"H Field I name:"
 BETWEEN = 1000

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.flight import Message
 from rotorwatch.logs import series
-from rotorwatch.logs.blackbox import decoder, flight
+from rotorwatch.logs.blackbox import assembly, decoder
 
 BOXES = ((1, "Angle"), (2, "Horizon"))
 INAV = (
@@ -22,7 +22,7 @@ INAV = (
 
 def messages(session: decoder.Session, first: int) -> list[Message]:
     """A message for each mode that was entered, times from `first` us on; none where the firmware's flags are not known."""
-    firmware = flight.autopilot(session.header)
+    firmware = assembly.autopilot(session.header)
     if firmware == "INAV":
         name, bits = "activeFlightModeFlags", INAV
     else:

@@ -26,7 +26,7 @@ import numpy as np
 from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import said
 from rotorwatch.engine.estimator.hypotheses import CLEAR
-from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source

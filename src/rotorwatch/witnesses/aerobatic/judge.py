@@ -18,17 +18,17 @@ import numpy as np
 
 from rotorwatch import airframes
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.program import TickOutput, blank
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
-from rotorwatch.engine.front.decisions import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.front.losses import WITHIN_95
-from rotorwatch.engine.host.hypotheses import list_hypotheses
-from rotorwatch.engine.host.program import TickOutput, blank
-from rotorwatch.engine.motion.airborne import airborne
+from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.ticks import GROUND, JUDGE, READY_KNOWN_S, Ticks
-from rotorwatch.engine.motion.ticks import LEARN as LEARNING
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, READY_KNOWN_S, Ticks
+from rotorwatch.engine.motion.tick_table import LEARN as LEARNING
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle

@@ -2,9 +2,9 @@
 
 telemetry.py    which telemetry records are usable
 ratios.py       the mathematics: loss of speed, loss of the propeller, current; probabilities of the causes
-evidence.py     the form of the result in the answer
+causes.py       the form of the result in the answer
 stopped.py      rotors that stopped, or lost their propeller
-watch.py        motors that became slow or draw more current without a loss
+changed.py      motors that became slow or draw more current without a loss
 consistency.py  all of that for the events of a flight; without ESC telemetry they stay unchanged
 """
 

@@ -13,13 +13,14 @@ import numpy as np
 
 from rotorwatch.answer.ledger import joined
 from rotorwatch.answer.wording import CAUSES, listed, percent, probability, rotors
-from rotorwatch.engine.front.decisions import LIKELY
+from rotorwatch.engine.events.decisions import LIKELY
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.esc import evidence, ratios, stopped, telemetry, watch
+from rotorwatch.witnesses.esc import causes, ratios, stopped, telemetry
+from rotorwatch.witnesses.esc import changed as watch
 from rotorwatch.witnesses.esc.telemetry import Binned
 
 CLEAR_S = 1.0  # uncertainty of an onset: left out before it
@@ -134,7 +135,7 @@ def _entry(rotor: int, loss: float, interval: tuple[float, float], seen: ratios.
     current = None if seen.current_change is None or seen.load < LOADED else 1.0 + seen.current_change[0] / seen.load
     cause = best if share[best] >= LIKELY else ratios.UNKNOWN
     parts, drop = ratios.parts(seen, loss, sd), None if seen.volts is None else seen.volts[0]
-    return evidence.entry(rotor, cause, share, parts, seen.speed_ratio[0], current, drop)
+    return causes.entry(rotor, cause, share, parts, seen.speed_ratio[0], current, drop)
 
 
 def in_words(entry: dict) -> str:

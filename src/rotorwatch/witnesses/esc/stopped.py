@@ -17,7 +17,7 @@ from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import rotors, seconds
 from rotorwatch.base.arrays import median
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.witnesses.esc import evidence, ratios
+from rotorwatch.witnesses.esc import causes, ratios
 from rotorwatch.witnesses.esc.telemetry import Binned
 
 USUAL = 0.75
@@ -99,7 +99,7 @@ def _usual(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
 def _stands(rotor: int, onset: float, known: float) -> Event:
     parts = {"speed": (1.0, LEAST_LOSS, 1.0), "propeller": (0.0, 0.0, 1.0)}
     sentence = f"the motor has been stopped since {seconds(onset)} although commanded to turn, "
-    return evidence.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, sentence, 0.0)
+    return causes.loss(rotor, onset, known, (1.0, LEAST_LOSS, 1.0), (0.0, 0.95, 0.04, 0.01), parts, sentence, 0.0)
 
 
 def _unloaded(rotor: int, onset: float, known: float, load: float) -> Event:
@@ -107,4 +107,4 @@ def _unloaded(rotor: int, onset: float, known: float, load: float) -> Event:
     parts = {"speed": (0.0, 0.0, 0.1), "propeller": (loss, LEAST_UNLOADED, 1.0)}
     sentence = f"since {seconds(onset)} the motor has drawn only a fraction of the current that its speed needs, "
     size = max(loss, LEAST_UNLOADED), LEAST_UNLOADED, 1.0
-    return evidence.loss(rotor, onset, known, size, (0.95, 0.02, 0.0, 0.03), parts, sentence, 1.0, load)
+    return causes.loss(rotor, onset, known, size, (0.95, 0.02, 0.0, 0.03), parts, sentence, 1.0, load)

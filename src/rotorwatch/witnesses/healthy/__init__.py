@@ -10,7 +10,7 @@ learned.py        trim, noise and gains of a vehicle for the default method
 import numpy as np
 
 from rotorwatch.answer import from_takeoff, ledger
-from rotorwatch.engine.motion.ticks import GROUND
+from rotorwatch.engine.motion.tick_table import GROUND
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness, adding
 

@@ -28,9 +28,9 @@ from rotorwatch import airframes
 from rotorwatch.answer.conclusion import LOPSIDED
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import trust
-from rotorwatch.engine.motion.airborne import airborne
 from rotorwatch.engine.motion.allocation import within
-from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
@@ -90,8 +90,8 @@ class Candidate:
     @cached_property
     def gains(self) -> tuple[np.ndarray, np.ndarray]:
         """Commanded torque per angular acceleration (roll, pitch, yaw) as the default estimator learns it: (3,) and its sd (3,)."""
+        from rotorwatch.engine.bindings.program import estimate
         from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS
-        from rotorwatch.engine.host.program import estimate
 
         assert self.table is not None
         carry, _ = estimate(self.table, self.vehicle.effectiveness())

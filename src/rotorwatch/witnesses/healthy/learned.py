@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rotorwatch.engine.host.learning import learn
+from rotorwatch.engine.bindings.learning import learn
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.healthy import whole_flight

@@ -32,7 +32,7 @@ from rotorwatch.answer.wording import listed, percent, rotors
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.ticks import Ticks
+from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN

@@ -25,7 +25,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.engine.front.decisions import CERTAIN, FALSE_ALARM, FALSE_FAULT_OF_ANY, MENTIONED
+from rotorwatch.engine.events.decisions import CERTAIN, FALSE_ALARM, FALSE_FAULT_OF_ANY, MENTIONED
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.stats import multivariate_t as student

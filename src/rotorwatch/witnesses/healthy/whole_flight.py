@@ -48,7 +48,7 @@ from rotorwatch import airframes
 from rotorwatch.base import windows
 from rotorwatch.base.arrays import distinct, median
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.front.decisions import DAMAGED, FALSE_ALARM, FALSE_FAULT, MENTIONED
+from rotorwatch.engine.events.decisions import DAMAGED, FALSE_ALARM, FALSE_FAULT, MENTIONED
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
-from rotorwatch.engine.front.decisions import CREDIBLE, SURE
-from rotorwatch.engine.motion import allocation, ticks
-from rotorwatch.engine.motion.contact import LEAST_GAIN
-from rotorwatch.engine.motion.ticks import Sensed
+from rotorwatch.engine.events.decisions import CREDIBLE, SURE
+from rotorwatch.engine.motion import allocation, tick_table
+from rotorwatch.engine.motion.knocks import LEAST_GAIN
+from rotorwatch.engine.motion.tick_table import Sensed
 from rotorwatch.flight import Flight
 from rotorwatch.flight.kinds import ORDER
 from rotorwatch.flight.vehicle import Vehicle
@@ -214,8 +214,8 @@ def window_of(
     thrust = allocation.rotor_thrusts(part, vehicle)
     if len(thrust) < 4:
         return None
-    how = ticks.plan(part, thrust, 0.0)
-    seen = ticks.sense(part, thrust, how)
+    how = tick_table.plan(part, thrust, 0.0)
+    seen = tick_table.sense(part, thrust, how)
     at_take_off = left.onset - start < FIRST_S
     hover = _hover(flight, seen, vehicle, left.onset, at_take_off)
     stirs = (np.abs(seen.rate_dot).max(axis=1) > STIRS[0]) | (np.abs(seen.rate).max(axis=1) > STIRS[1])
@@ -260,7 +260,7 @@ def _pinned(rate: np.ndarray, rate_dot: np.ndarray) -> np.ndarray:
 def _hover(flight: Flight, seen: Sensed, vehicle: Vehicle, until: float, at_take_off: bool) -> float:
     """Mean share of full thrust that carries the vehicle: as learned from healthy flights, of the ticks before `until` [s] at which about
     one g was carried, or as the autopilot has learned it."""
-    known = ticks.known_hover(vehicle)
+    known = tick_table.known_hover(vehicle)
     if known:
         return known
     mean = seen.share.mean(axis=1)

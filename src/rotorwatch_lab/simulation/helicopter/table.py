@@ -12,7 +12,7 @@ import numpy as np
 from rotorwatch.base import optional
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
-from rotorwatch.logs import memory
+from rotorwatch.logs import log_memory
 from rotorwatch_lab.simulation import sensors, truth
 from rotorwatch_lab.simulation.helicopter.aircraft import ACTUATORS, Plan, Record
 from rotorwatch_lab.simulation.scenario import ACTUATORS as NAMES
@@ -52,7 +52,7 @@ def columns(scenario: Scenario, plan: Plan, record: Record) -> dict[str, np.ndar
 
 def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     """The `Flight` that the written table is read as."""
-    return memory.from_arrays(columns(scenario, plan, record), name=scenario.name)
+    return log_memory.from_arrays(columns(scenario, plan, record), name=scenario.name)
 
 
 def write(scenario: Scenario, plan: Plan, record: Record, path: Path) -> None:

@@ -1,0 +1,55 @@
+"""What healthy flights teach the default estimator: what this vehicle is like, and how noisy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rotorwatch.engine.bindings.plant_rows import any_multirotor, lower_rotors
+from rotorwatch.engine.bindings.program import estimate
+from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
+from rotorwatch.engine.motion.tick_table import JUDGE, TICKS_S, Ticks
+
+FLIGHTS_DIFFER = 0.25
+LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
+# Variances grow by factors: one learned as nothing could never be anything in a rougher flight.
+LEAST_SHARE = 0.05
+
+
+def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
+    """What healthy flights teach: x0 (20), P0 (20, 20), noise (4, 4), noise_weight; None when none of them is long enough.
+
+    Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are left open: they are
+    each flight's own. Noise: the largest of the flights', per component and axis.
+    """
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    means, precisions, noises, shares = [], [], [], []
+    for table in tables:
+        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in TICKS_S:
+            continue
+        carry, _ = estimate(table, B)
+        means.append(np.asarray(carry.s)[rows])
+        precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
+        noises.append(np.asarray(carry.variances))
+        # How the thrust curve is bent, what air takes and, on coaxial frames, the lower rotors' share.
+        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, AIR, SHARE)])
+    if not means:
+        return None
+    loudest = np.max(noises, axis=0)
+    loudest = np.maximum(loudest, LEAST_SHARE * loudest.max(axis=0))
+    mean = np.average(means, axis=0, weights=precisions)
+    spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
+    x0, P0 = any_multirotor(B.shape[1])
+    x0[rows] = mean
+    # Few flights do not show how much flights differ: until many do, part of what vehicles differ by is left open.
+    open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
+    variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
+    P0[rows[:, None], rows] = np.diag(variance)
+    # ... nor how much the thrust curve, the air and the lower rotors' share do.
+    own = [[float(m), float(v + s)] for (m, v), s in zip(np.mean(shares, axis=0), np.var(shares, axis=0)[:, 0])]
+    known = {"curve": own[0], "air": own[1], **({"share": own[2]} if lower_rotors(B) is not None else {})}
+    return {
+        "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
+        "dt": tables[0].dt, **known,
+    }  # fmt: skip

@@ -1,0 +1,139 @@
+"""What is new about a list of events that is made again and again: announced, changed, or withdrawn."""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import INT, LASTS, Real, Small, Struct, Time, array, copy, embedded, local
+from rotorwatch.engine.events.decisions import SAME_S
+from rotorwatch.engine.events.events import LOSS, TURNED_MOUNT, Event
+from rotorwatch.engine.intake.sizes import EVENTS, TOGETHER
+
+ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
+
+LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be a change
+GIVES_STEP = 0.1  # hover thrusts by which what a rotor gives that follows no command must move to be a change
+
+
+class Known(Struct):
+    """An event as it was announced last; number: from 1, of the event for as long as it is remembered."""
+
+    event = embedded(Event)
+    number: int = 0
+
+
+class Change(Struct):
+    """Something new about an event. what: ANNOUNCED, CHANGED, WITHDRAWN; place: of the event in the list or, withdrawn, among those that
+    were withdrawn."""
+
+    number: int = 0
+    place: Small = 0
+    what: Small = ANNOUNCED
+
+
+class Changes(Struct):
+    """Remembers what has been announced."""
+
+    known = array(Known, EVENTS)
+    numbers: int = 0
+    count: Small = 0
+
+    def look(
+        self, events: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
+    ) -> int:
+        """What is new about the events as they are now, into out [2 EVENTS]; how many.
+
+        final: time in s before which nothing is withdrawn: an event that ended before and is missing was forgotten. refined: events of
+        this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
+        withdrawn [EVENTS]: room for events that are withdrawn.
+        """
+        known_of = local(INT, EVENTS)  # place among what is known, -1: new
+        event_of = local(INT, EVENTS)
+        found = 0
+        left = 0
+        withdrawn_count = 0
+        for i in range(EVENTS):
+            known_of[i] = -1
+            event_of[i] = -1
+        for way in range(3):
+            for i in range(count):
+                for j in range(self.count):
+                    if known_of[i] < 0 and event_of[j] < 0:
+                        old = self.known[j].event
+                        if way == 0:
+                            same = _equal(old, events[i])
+                        elif way == 1:
+                            same = _alike(old, events[i], refined)
+                        else:
+                            same = _goes_on(old, events[i])
+                        if same:
+                            known_of[i] = j
+                            event_of[j] = i
+        for j in range(self.count):
+            if event_of[j] >= 0:
+                known_of[event_of[j]] = left
+                if left != j:
+                    copy(self.known[left], self.known[j])
+                left += 1
+            elif not self.known[j].event.end < final:
+                copy(withdrawn[withdrawn_count], self.known[j].event)
+                out[found].number = self.known[j].number
+                out[found].place = withdrawn_count
+                out[found].what = WITHDRAWN
+                found += 1
+                withdrawn_count += 1
+        self.count = left
+        for i in range(count):
+            fresh = known_of[i] < 0
+            if fresh:
+                known_of[i] = self.count
+                self.count += 1
+                self.numbers += 1
+                self.known[known_of[i]].number = self.numbers
+            place = known_of[i]
+            if fresh or every or _differs(self.known[place].event, events[i]):
+                copy(self.known[place].event, events[i])
+                out[found].number = self.known[place].number
+                out[found].place = i
+                out[found].what = ANNOUNCED if fresh else CHANGED
+                found += 1
+        return found
+
+
+def _same_time(a: Time, b: Time) -> bool:
+    return not (a < b or b < a)
+
+
+def _equal(old: Event, new: Event) -> bool:
+    return old.kind == new.kind and old.rotors == new.rotors and _same_time(old.detected, new.detected)
+
+
+def _alike(old: Event, new: Event, refined: int) -> bool:
+    """One event of which more is known now: what began together, was announced together, or has the same rotors at the same time."""
+    if old.kind != new.kind or (old.kind != LOSS and old.kind != refined and old.rotors != new.rotors):
+        return False
+    return abs(old.onset - new.onset) < SAME_S or _same_time(old.detected, new.detected)
+
+
+def _goes_on(old: Event, new: Event) -> bool:
+    """One that lasts, of which there can be no second: what the trim shows begins at another time when it is looked at again."""
+    lasts = old.end >= LASTS and new.end >= LASTS
+    return lasts and old.kind == new.kind and old.rotors == new.rotors and (old.kind == LOSS or old.kind == TURNED_MOUNT)
+
+
+def _moved(old: Real, new: Real) -> bool:
+    return abs(new - old) >= LOSS_STEP
+
+
+def _differs(old: Event, new: Event) -> bool:
+    if old.rotors != new.rotors or old.alternative_count != new.alternative_count or old.detail != new.detail:
+        return True
+    if new.kind == LOSS and (abs(old.size - new.size) >= GIVES_STEP or (old.size > 0.0) != (new.size > 0.0)):
+        return True
+    if (old.end < LASTS) != (new.end < LASTS) or abs(old.onset - new.onset) >= SAME_S:
+        return True
+    for i in range(new.alternative_count):
+        if old.alternatives[i] != new.alternatives[i]:
+            return True
+    for i in range(TOGETHER):
+        if _moved(old.loss[i], new.loss[i]) or _moved(old.lower[i], new.lower[i]) or _moved(old.upper[i], new.upper[i]):
+            return True
+    return False

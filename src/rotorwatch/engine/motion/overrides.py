@@ -1,0 +1,105 @@
+"""Outputs that part from the mixer, of a whole flight: the definition of engine/intake/deviations.py, in words.
+
+Loss of effectiveness never shows here: the commands are what is compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.base.compiling.running import Rows
+from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.events import calls
+from rotorwatch.engine.intake import deviations, mixer
+from rotorwatch.engine.intake.airborne import CONFIRM_S
+from rotorwatch.engine.intake.sizes import OVERRIDES
+from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion.allocation import Spans, within
+from rotorwatch.flight import Flight
+from rotorwatch.flight.vehicle import Vehicle
+
+LEAST = 3  # comparisons
+KINDS = {deviations.STUCK: "stuck", deviations.OFF: "off", deviations.OVERRIDDEN: "overridden"}
+
+
+class Override(NamedTuple):
+    """An output that no longer follows the mixer.
+
+    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. demanded: share of
+    full thrust that the mixer demanded when it was noticed; None where the log does not show that. shared: another output left the mixer
+    and came back at the same samples, so that the log is wrong, and no rotor.
+    """
+
+    rotor: int
+    kind: str
+    onset: float
+    detected: float
+    end: float | None
+    reason: str
+    demanded: float | None = None
+    shared: bool = False
+
+
+def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
+    """Outputs that stopped following the mixer in flight: stuck at a value, off, or driven by something else.
+
+    airborne: ((start, end), ...) in s. With a ``control`` signal that the mixer is seen to follow, an output counts
+    when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
+    near its limits; limits explain neither an output below its minimum nor one that rests though it is commanded to
+    move against the others. Without it, only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of
+    effectiveness never shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
+    """
+    if not flight.has("motors"):
+        return ()
+    state, craft, motors = ENGINE.new(deviations.Deviations), allocation.laid_out(vehicle, flight), flight["motors"]
+    checks, checked = ENGINE.array(mixer.Comparison, 1), np.empty(0)
+    if flight.has("control"):
+        check = allocation.compare(flight, vehicle)
+        if len(check.time) >= LEAST:
+            checks, checked = check.rows, check.time
+    thrust = np.ascontiguousarray(allocation.motor_thrusts(flight, vehicle).values)
+    logged = np.ascontiguousarray(motors.values, float)
+    known = np.ascontiguousarray(motors.whole)
+    compared = len(checked), checks, within(checked, airborne)
+    outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
+    ENGINE.call(calls.deviate, state, craft, *compared, *outputs)
+    return found(state, craft)
+
+
+def in_flight(found: Iterable[Override], spans: Spans) -> list[Override]:
+    """Overrides that were noticed in flight, each ended with its flight at the latest."""
+    inside = []
+    for one in found:
+        for start, end in spans:
+            if start <= one.onset < end and one.detected <= end + CONFIRM_S:
+                inside.append(one if (one.end or np.inf) <= end else one._replace(end=end))
+    return inside
+
+
+def found(state: Rows, craft: Rows) -> tuple[Override, ...]:
+    """All overrides so far; the end of one that lasts is None."""
+    rows = ENGINE.array(deviations.Override, OVERRIDES)
+    return in_words(rows.cut(ENGINE.call(calls.overrides, state, craft, rows)))
+
+
+def in_words(rows: Rows) -> tuple[Override, ...]:
+    """Overrides as people read them."""
+    names = ("rotor", "kind", "onset", "detected", "end", "output", "demanded", "got", "shared")
+    return tuple(_in_words(*values) for values in zip(*(rows[name].tolist() for name in names)))
+
+
+def _in_words(
+    rotor: int, number: int, onset: float, detected: float, end: float, output: float, demanded: float, got: float,
+    shared: bool,
+) -> Override:  # fmt: skip
+    kind, named = KINDS[number], f"output {rotor + 1}"
+    if demanded >= 0.0:
+        reason = f"{named} was at {output:.4g} while the mixer asked for {demanded:.0%} of full thrust and got {got:.0%}"
+    else:
+        reason = f"{named} {'did not move' if kind == 'stuck' else 'was off'} at {output:.4g} while the others kept working"
+    known_demand = demanded if demanded >= 0.0 else None
+    return Override(rotor + 1, kind, onset, detected, None if end >= LASTS else end, reason, known_demand, shared)
