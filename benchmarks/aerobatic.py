@@ -20,7 +20,7 @@ from rotorwatch import airframes
 from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import JUDGE, READY_S
 from rotorwatch.witnesses.aerobatic import judge
 from rotorwatch.witnesses.aerobatic.response import respond

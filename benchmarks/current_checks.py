@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.detectors import current_residual, esc_current, thrust_loss
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch_lab.simulation import scenario, simulate
 
 ROTOR, ONSET_S = 2, 20.0

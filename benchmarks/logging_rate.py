@@ -20,7 +20,7 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, READY_S
 from rotorwatch_lab.experiments import limits
 

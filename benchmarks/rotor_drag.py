@@ -18,7 +18,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.estimator.plant import DRAG
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import GROUND, READY_S
 from rotorwatch.errors import RotorwatchError
 

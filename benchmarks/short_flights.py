@@ -20,7 +20,7 @@ import numpy as np
 import rotorwatch as rw
 from rotorwatch import airframes, gathering
 from rotorwatch.base.many import spread
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch_lab.experiments.inject import inject

@@ -25,7 +25,7 @@ from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LAG_S, READY_S, tick_length
 from rotorwatch_lab.campaign import methods, summary
 from rotorwatch_lab.experiments import limits

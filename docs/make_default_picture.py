@@ -18,7 +18,7 @@ from rotorwatch.engine.bindings import program
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.plant_rows import AXES
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch_lab.experiments.inject import inject
 

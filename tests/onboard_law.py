@@ -9,7 +9,7 @@ from tests.embedded_c_parts import STRICT
 
 from rotorwatch import airframes
 from rotorwatch.engine.motion import allocation, tick_table
-from rotorwatch.engine.motion.flights import output_range
+from rotorwatch.engine.motion.air_spans import output_range
 from rotorwatch.export import export_diagnoser
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)

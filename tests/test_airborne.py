@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose, logs
-from rotorwatch.engine.motion.flights import CONFIRM_S, MOST_GAP_S, airborne, gaps
+from rotorwatch.engine.motion.air_spans import CONFIRM_S, MOST_GAP_S, airborne, gaps
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs.log_memory import from_arrays
 from rotorwatch_lab.simulation import scenario, simulate

@@ -35,7 +35,7 @@ FORBIDDEN = (
     ("rotorwatch/answer/advice.py", "rotorwatch.answer.conclusion", "Inside the answer"),
     ("rotorwatch_lab/published/log_plant.py", "rotorwatch_lab.published.published", "Inside the published"),
     ("rotorwatch_lab/compiling/native.py", "rotorwatch_lab.compiling.run", "Inside the compiling"),
-    ("rotorwatch/engine/motion/flights.py", "rotorwatch.engine.motion.tick_table", "Inside motion"),
+    ("rotorwatch/engine/motion/air_spans.py", "rotorwatch.engine.motion.tick_table", "Inside motion"),
     ("rotorwatch/flight/flight.py", "rotorwatch.flight.vehicle_file", "Inside the flight"),
     ("rotorwatch_lab/estimators/planted.py", "rotorwatch_lab.estimators.ekf", "Estimators do not"),
     ("rotorwatch_lab/systems/planted.py", "rotorwatch_lab.systems.rate_dynamics", "Plants do not"),

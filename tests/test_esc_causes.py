@@ -10,7 +10,7 @@ import rotorwatch as rw
 from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.flight import Signal
 from rotorwatch.report.html import page
 from rotorwatch.witnesses.esc import changed as watch

@@ -10,7 +10,7 @@ from tests.altered_logs import doubled, later, reordered, slower, with_signals, 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import mixing, order, turning
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch.logs import dataflash_rotors
 from rotorwatch_lab.simulation import scenario, simulate

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import diagnose, read
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.missed import without_missed
 from rotorwatch_lab.simulation import scenario, simulate
 

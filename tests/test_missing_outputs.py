@@ -9,7 +9,7 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.motion.flights import GAP_S, airborne, gaps
+from rotorwatch.engine.motion.air_spans import GAP_S, airborne, gaps
 from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, READY_S
 from rotorwatch.live.session import Session
 from rotorwatch_lab.simulation import scenario, simulate

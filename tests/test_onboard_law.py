@@ -18,7 +18,7 @@ from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.motion import tick_table
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs import plausible
 from rotorwatch.witnesses.aerobatic import judge as aerobatic

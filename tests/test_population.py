@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, logs
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.stats.tails import f_tail
 from rotorwatch.witnesses.healthy import population
 from rotorwatch.witnesses.healthy.whole_flight import Features, features

@@ -9,7 +9,7 @@ import pytest
 import rotorwatch as rw
 from rotorwatch import airframes
 from rotorwatch.engine.motion import tick_table
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.flight import Flight, Signal
 from rotorwatch_lab import simulation
 from rotorwatch_lab.simulation import scenario

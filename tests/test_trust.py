@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import inertial, trust
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch.flight import Signal
 from rotorwatch_lab.simulation import scenario, simulate

@@ -12,7 +12,7 @@ from tests import tumbling
 from rotorwatch import airframes, diagnose
 from rotorwatch.answer import falls
 from rotorwatch.base.physics import G0
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.witnesses import battery as voltages

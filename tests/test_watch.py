@@ -16,7 +16,7 @@ from rotorwatch.commands import cli
 from rotorwatch.engine import driver
 from rotorwatch.engine.driver import Driver
 from rotorwatch.engine.motion import allocation, tick_table
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.live import view

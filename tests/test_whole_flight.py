@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, logs
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.witnesses.healthy import whole_flight as wf

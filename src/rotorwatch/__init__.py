@@ -22,7 +22,7 @@ __version__ = "0.1.0"
 
 # Functions that live in a module of the same name: rotorwatch/diagnose.py holds diagnose.
 _VERBS = {
-    "airborne": "engine.motion.flights",
+    "airborne": "engine.motion.air_spans",
     "calibrate": "calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from rotorwatch.calibrate import calibrate as calibrate
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose_many import diagnose_many as diagnose_many
-    from rotorwatch.engine.motion.flights import airborne as airborne
+    from rotorwatch.engine.motion.air_spans import airborne as airborne
     from rotorwatch.errors import ConfigError as ConfigError
     from rotorwatch.errors import LogError as LogError
     from rotorwatch.errors import RotorwatchError as RotorwatchError

@@ -19,7 +19,7 @@ from rotorwatch.engine.bindings.program import TickOutput
 from rotorwatch.engine.driver import fly
 from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.engine.motion import mixing, tick_table, turning
-from rotorwatch.engine.motion.flights import airborne, gaps
+from rotorwatch.engine.motion.air_spans import airborne, gaps
 from rotorwatch.engine.motion.missed import without_missed
 from rotorwatch.engine.motion.tick_table import JUDGE, READY_KNOWN_S, READY_S, Ticks
 from rotorwatch.errors import ConfigError

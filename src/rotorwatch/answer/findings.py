@@ -10,7 +10,7 @@ import numpy as np
 from rotorwatch.answer import from_takeoff
 from rotorwatch.answer.unjudged import UNKNOWN, Unjudged
 from rotorwatch.engine.events.decisions import MATTERS
-from rotorwatch.engine.motion.flights import Gap
+from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from rotorwatch.engine.drift.outcome import WORN
 from rotorwatch.engine.events.decisions import MATTERS, TOTAL_LOSS
-from rotorwatch.engine.motion.flights import Gap
+from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import Words
 

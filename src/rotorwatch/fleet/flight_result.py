@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from rotorwatch import __version__, airframes
 from rotorwatch.base.progress import READ, portion
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis

@@ -14,7 +14,7 @@ from rotorwatch.answer.wording import rotors
 from rotorwatch.case.conductor import Case
 from rotorwatch.engine.bindings import event_rows as events
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.motion.flights import Gap
+from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.engine.window import LATE
 from rotorwatch.flight import Flight, Message, Signal

@@ -17,7 +17,7 @@ from rotorwatch.answer.wording import sentence
 from rotorwatch.base.progress import portion
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion import mixing, trust, turning
-from rotorwatch.engine.motion.flights import airborne
+from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.missed import without_missed
 from rotorwatch.engine.motion.tick_table import READY_S, tick_length
 from rotorwatch.errors import RotorwatchError

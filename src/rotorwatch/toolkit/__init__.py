@@ -55,7 +55,7 @@ _PLACES = {
     "TickOutput": "engine.bindings.program:TickOutput",
     "Ticks": "engine.motion.tick_table:Ticks",
     "aerobatic": "witnesses.aerobatic.judge",
-    "airborne": "engine.motion.flights:airborne",
+    "airborne": "engine.motion.air_spans:airborne",
     "allocation": "engine.motion.allocation",
     "ambiguous_sets": "engine.motion.allocation:ambiguous_sets",
     "any_multirotor": "engine.bindings.plant_rows:any_multirotor",
@@ -189,7 +189,7 @@ if TYPE_CHECKING:
     from rotorwatch.engine.estimator.posterior import PLACES as PLACES
     from rotorwatch.engine.motion import allocation as allocation
     from rotorwatch.engine.motion.allocation import ambiguous_sets as ambiguous_sets
-    from rotorwatch.engine.motion.flights import airborne as airborne
+    from rotorwatch.engine.motion.air_spans import airborne as airborne
     from rotorwatch.engine.motion.tick_table import GROUND as GROUND
     from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S as HOVER_LEARN_S
     from rotorwatch.engine.motion.tick_table import JUDGE as JUDGE

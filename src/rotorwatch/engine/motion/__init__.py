@@ -1,6 +1,6 @@
 """Commands and the motion that they caused, as tables, before any estimator runs. Causal throughout.
 
-flights.py      when it was in the air
+air_spans.py    when it was in the air
 turning.py      angular rates from the attitude where there is no gyro
 missed.py       repeated outputs where the log missed the next ones
 allocation.py   commands to the thrust of each rotor; rotors that cannot be distinguished

@@ -15,7 +15,7 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.base.progress import portion
-from rotorwatch.engine.motion.flights import commands, output_range
+from rotorwatch.engine.motion.air_spans import commands, output_range
 from rotorwatch.flight import Flight, Signal
 
 # Degrees between the actual direction of thrust and any recent target, and for how long. Healthy vehicles of public logs,

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.flights import output_range
+from rotorwatch.engine.motion.air_spans import output_range
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS
