@@ -72,7 +72,7 @@ def rows(folder: Path) -> Iterator[str]:
     """Lines of the table."""
     from rotorwatch import airframes, diagnose
 
-    seen = set()
+    seen: set[object] = set()
     for name, what, flight in (*recorded(folder), *made()):
         kind = re.sub(r"-\d+$", "", name)
         if kind in seen:
@@ -83,6 +83,11 @@ def rows(folder: Path) -> Iterator[str]:
         ends = any(w.startswith("The log ends in the air") for w in answer.warnings)
         if not ends and not any(e.kind in ("loss_of_control", "autopilot_report") for e in answer.events):
             continue  # control was kept, nothing was reported, and it landed
+        causes = [e.extra["cause"] for e in answer.events if e.kind == "loss_of_control"]
+        answers = (answer.verdict, *causes, any(e.kind == "autopilot_report" for e in answer.events), ends)
+        if answers in seen:
+            continue  # another flight with this answer is in the table
+        seen.add(answers)
         yield "| " + " | ".join(text.replace("|", "/") for text in (what, answered(answer, ends))) + " |\n"
 
 
