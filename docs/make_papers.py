@@ -21,7 +21,7 @@ from rotorwatch_lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
-LONG = 12  # rows of a table that goes into a file of its own
+LONG = 6  # rows of a table that goes into a file of its own
 WORDS = {"partly": "in part"}  # where no condition is given
 EQUATIONS = "papers-equations.csv"
 HEAD = f"""# The five papers
@@ -55,9 +55,8 @@ def page(data: list[dict]) -> str:
         parts.append(f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n")
         if reproduction.note(paper):
             parts.append(textwrap.fill(f"**{reproduction.note(paper)}**", 140, break_on_hyphens=False) + "\n")
-        differ = {claim: found for claim, found in row.get("forms", {}).items() if len(set(found.values())) > 1}
-        for heads, lines in reproduction.by_form(differ):
-            parts.append(_table(heads, [[WORDS.get(text, text) for text in line] for line in lines]))
+        if row.get("forms"):
+            parts.append(f"Verdicts by form of the method: [{_forms(paper)}]({_forms(paper)}).\n")
         claims = [[f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]]
         parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
         parts += [_shown(paper, k, table) for k, table in enumerate(row.get("tables", ()))]
@@ -78,13 +77,28 @@ def _file(paper: str, k: int) -> str:
 
 
 def long_tables(data: list[dict]) -> dict[str, str]:
-    """Name -> text of the files of long tables, and of the equations."""
+    """Name -> text of the files of long tables, of verdicts by form and of the equations."""
     files_: dict[str, str] = {}
     for row in data:
         for k, table in enumerate(row.get("tables", ())):
             if len(table["rows"]) > LONG:
                 files_[_file(row["paper"], k)] = _csv([table["head"], *table["rows"]])
+        if row.get("forms"):
+            files_[_forms(row["paper"])] = _csv(by_form(row["forms"]))
     return files_ | {EQUATIONS: _csv(equations())}
+
+
+def by_form(forms: dict[str, dict[str, str]]) -> list[list[str]]:
+    """A row for each claim, a column for each form of the method; empty where a claim is not about that form."""
+    labels = list(dict.fromkeys(label for found in forms.values() for label in found))
+    return [
+        ["claim", *labels],
+        *([claim, *(WORDS.get(found.get(label, ""), found.get(label, "")) for label in labels)] for claim, found in forms.items()),
+    ]
+
+
+def _forms(paper: str) -> str:
+    return f"papers-{paper}-forms.csv"
 
 
 def _csv(lines: Iterable[Sequence[str]]) -> str:
