@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import tempfile
+import textwrap
 from pathlib import Path
 
 from rotorwatch.base import discovery
@@ -109,9 +110,15 @@ def others(frames: list[dict]) -> str:
         f"| method | {' | '.join(map(name_of, frames))} |",
         "|---" * (len(frames) + 1) + "|",
     ]
+    alone = []
     for name in names:
-        cells = [", ".join(value(found[name][key]) for key in PAIR) if name in found else "-" for found in scores]
-        lines.append(f"| `{name}` | {' | '.join(cells)} |")
+        if any(name in found for found in scores[1:]):
+            cells = [", ".join(value(found[name][key]) for key in PAIR) if name in found else "-" for found in scores]
+            lines.append(f"| `{name}` | {' | '.join(cells)} |")
+        else:
+            alone.append(f"`{name}` {', '.join(value(scores[0][name][key]) for key in PAIR)}")
+    if alone:
+        lines += ["", textwrap.fill(f"On {name_of(frames[0])} alone: {'; '.join(alone)}.", 140)]
     return "\n".join(lines) + "\n"
 
 
