@@ -209,10 +209,10 @@ Median half-width of the interval or bound (all steps and rotors of a flight; me
 thrust, from {SETTLED_S:g} s after the loss:
 
 {table(data, ("half_width", "error"), 3)}
-A covariance covers the noise that the method assumes, not what the plant omits: wind, air through the rotors and the battery are in none.
-A threshold on such an interval accuses healthy rotors; `diagnose` therefore decides on the direction of the missing wrench and the scatter
-of the flight itself. On hexas and octas more losses are estimated than the log shows at once: AXKF's intervals then hold nearly anything.
-AESMF's bounds hold the truth, and are the widest on quads.
+A covariance covers the noise that the method assumes, not wind, air through the rotors and the battery. A threshold on such an interval
+accuses healthy rotors; `diagnose` decides on the direction of the missing wrench and the scatter of the flight instead. On hexas and octas
+more losses are estimated than the log shows at once: AXKF's intervals then hold nearly anything. AESMF's bounds hold the truth, and are the
+widest on quads.
 
 Three of the flights, with the truth dashed:
 
