@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import csv
 import tempfile
+import textwrap
 from pathlib import Path
 
 from rotorwatch.base import discovery
@@ -27,7 +28,7 @@ UP = """
 
 {flights} flights of `{plan}` ([closed loop](control.md#closed-loop)): quad X and hexa X, losses of 10 % to 100 % of one rotor or two, wind
 to 9 m/s. A method's estimates drive the allocation; `nobody` keeps the autopilot's mixer, `truth` knows every loss after 0.1 s.
-By frame: [comparison-closed-loop.csv](comparison-closed-loop.csv).
+The first ones (all, also by frame: [comparison-closed-loop.csv](comparison-closed-loop.csv)):
 
 """
 PAIR = ("detected", "right")
@@ -37,6 +38,7 @@ COLUMNS = (
 )
 UP_COLUMNS = ("driver", "stays up, of those that the truth saves, %", "acted falsely, flights an hour", "first acted after, s")
 UP_FRAMES = ("quad-x", "hexa-x")
+UP_SHOWN = 10  # drivers on the page, besides nobody
 
 
 def percent(share: dict | None) -> str:
@@ -60,13 +62,14 @@ def number(value: dict | None) -> str:
 
 
 def staying_up(found: dict) -> tuple[str, list[list[str]]]:
-    """The closed loop, the best first: in Markdown, and the rows of comparison-closed-loop.csv with the shares by frame."""
+    """The closed loop, the best first: the first ones in Markdown, and all rows of comparison-closed-loop.csv with the shares by frame."""
     lines = [f"| {' | '.join(UP_COLUMNS)} |", "|---" * len(UP_COLUMNS) + "|"]
     rows = [["driver", "stays_up_percent", *(f"{frame}_percent" for frame in UP_FRAMES), "acted_falsely_h", "first_acted_s"]]
     for name, m in sorted(found["drivers"].items(), key=lambda row: -row[1]["of_possible"]["value"]):
         share, false, first = percent(m["of_possible"]), bare(number(m["false_h"])), bare(number(m["first_s"]))
         frames = [bare(percent(m["possible_by_frame"][frame])) for frame in UP_FRAMES]
-        lines.append(f"| `{name}` | {share} | {false} | {first} |")
+        if len(rows) <= UP_SHOWN or name == "nobody":
+            lines.append(f"| `{name}` | {share} | {false} | {first} |")
         rows.append([name, share, *frames, false, first])
     return UP.format(flights=found["flights"], plan=UP_PLAN.relative_to(ROOT)) + "\n".join(lines) + "\n", rows
 
@@ -109,9 +112,15 @@ def others(frames: list[dict]) -> str:
         f"| method | {' | '.join(map(name_of, frames))} |",
         "|---" * (len(frames) + 1) + "|",
     ]
+    alone = []
     for name in names:
-        cells = [", ".join(value(found[name][key]) for key in PAIR) if name in found else "-" for found in scores]
-        lines.append(f"| `{name}` | {' | '.join(cells)} |")
+        if any(name in found for found in scores[1:]):
+            cells = [", ".join(value(found[name][key]) for key in PAIR) if name in found else "-" for found in scores]
+            lines.append(f"| `{name}` | {' | '.join(cells)} |")
+        else:
+            alone.append(f"`{name}` {', '.join(value(scores[0][name][key]) for key in PAIR)}")
+    if alone:
+        lines += ["", textwrap.fill(f"On {name_of(frames[0])} alone: {'; '.join(alone)}.", 140)]
     return "\n".join(lines) + "\n"
 
 

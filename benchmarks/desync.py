@@ -23,8 +23,8 @@ import numpy as np
 
 from rotorwatch import logs
 from rotorwatch.diagnose import diagnose
-from rotorwatch.engine.motion.allocation import motor_thrusts, within
 from rotorwatch.engine.motion.air_spans import airborne
+from rotorwatch.engine.motion.allocation import motor_thrusts, within
 from rotorwatch.flight import Flight
 from rotorwatch.logs import blackbox
 from rotorwatch.witnesses.aerobatic import desync

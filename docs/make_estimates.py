@@ -163,20 +163,26 @@ def gather(out: Path) -> dict:
     return json.loads((out / "left.json").read_text(encoding="utf-8")) | {"flights": rows}
 
 
-def table(data: dict, keys: tuple[str, str], digits: int | None = None) -> str:
-    """Methods x groups: means over flights of two figures, the second one for rotors that lost thrust. Without digits: in per cent."""
+def table(data: dict) -> str:
+    """Methods x groups: means over flights of the steps that hold the truth, of all rotors and of those that lost thrust, in per cent; and
+    over all flights half-width and error."""
     rows = [row for row in data["flights"] if row["methods"]]
     count = Counter(row["group"] for row in rows)
     groups = [group for group in GROUPS if count[group] >= FEW]
-    lines = ["| method | " + " | ".join(f"{g} ({count[g]})" for g in groups) + " | all |", "|---" * (len(groups) + 2) + "|"]
+    heads = ["method", *(f"{g} ({count[g]})" for g in groups), "all", "half-width, error"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for method in METHODS:
-        cells = []
-        for group in [*groups, None]:
-            of = [row["methods"][method] for row in rows if method in row["methods"] and group in (None, row["group"])]
-            found = [_cell([one[key] for one in of if one.get(key) is not None], key, digits) for key in keys]
-            cells.append(", ".join(text for text in found if text))
+        every = [row["methods"][method] for row in rows if method in row["methods"]]
+        parts = [[row["methods"][method] for row in rows if method in row["methods"] and row["group"] == group] for group in groups]
+        cells = [_pair(part, ("all", "lost")) for part in [*parts, every]] + [_pair(every, ("half_width", "error"), 3)]
         lines.append(f"| [`{method}`](methods/{method}.md) | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def _pair(found: list[dict], keys: tuple[str, str], digits: int | None = None) -> str:
+    """Means of two figures; the second one only where a rotor lost thrust. Without digits: in per cent."""
+    texts = [_cell([one[key] for one in found if one.get(key) is not None], key, digits) for key in keys]
+    return ", ".join(text for text in texts if text)
 
 
 def _cell(values: list[float], key: str, digits: int | None) -> str:
@@ -202,17 +208,14 @@ Left out:
 
 Steps in which a method's own interval or bound contains the truth, in per cent, mean over flights (their number in brackets; groups of
 fewer than {FEW} only in *all*): of every rotor, and of the rotors that lost thrust from {SETTLED_S:g} s after the loss. Nominal: 95 for an
-interval, 100 for a bound.
+interval, 100 for a bound. Last column: median half-width (all steps and rotors of a flight; mean over flights), and RMS error of the
+rotors that lost thrust.
 
-{table(data, ("all", "lost"))}
-Median half-width of the interval or bound (all steps and rotors of a flight; mean over flights), and RMS error of the rotors that lost
-thrust, from {SETTLED_S:g} s after the loss:
-
-{table(data, ("half_width", "error"), 3)}
-A covariance covers the noise that the method assumes, not what the plant omits: wind, air through the rotors and the battery are in none.
-A threshold on such an interval accuses healthy rotors; `diagnose` therefore decides on the direction of the missing wrench and the scatter
-of the flight itself. On hexas and octas more losses are estimated than the log shows at once: AXKF's intervals then hold nearly anything.
-AESMF's bounds hold the truth, and are the widest on quads.
+{table(data)}
+A covariance covers the noise that the method assumes, not wind, air through the rotors and the battery. A threshold on such an interval
+accuses healthy rotors; `diagnose` decides on the direction of the missing wrench and the scatter of the flight instead. On hexas and octas
+more losses are estimated than the log shows at once: AXKF's intervals then hold nearly anything. AESMF's bounds hold the truth, and are the
+widest on quads.
 
 Three of the flights, with the truth dashed:
 

@@ -40,13 +40,13 @@ def defined_for(kind: type, examples: dict) -> list[str]:
 
 
 def table() -> str:
-    """A row for each method, name and description; below, the methods that do not take every plant."""
+    """A row for each method, name and long name (its docstring up to a colon); below, the methods that do not take every plant."""
     examples = plants()
     lines = ["| name | method |", "|---|---|"]
     limited: dict[str, list[str]] = {}
     for name, kind in discovery.estimators().items():
         module = sys.modules[kind.__module__].__doc__ or ""
-        about = " ".join(module.split("\n\n")[0].split()).rstrip(".")
+        about = " ".join(module.split("\n\n")[0].split()).partition(":")[0].rstrip(".")
         takes = ["wrench_balance"] if name == "default" else defined_for(kind, examples)
         if len(takes) < len(examples):
             limited.setdefault(", ".join(f"`{plant}`" for plant in takes), []).append(f"`{name}`")

@@ -13,6 +13,7 @@ import io
 import json
 import sys
 import textwrap
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from rotorwatch.base import files
@@ -20,13 +21,15 @@ from rotorwatch_lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
-LONG = 12  # rows of a table that goes into a file of its own
+LONG = 6  # rows of a table that goes into a file of its own
 WORDS = {"partly": "in part"}  # where no condition is given
-HEAD = """# The five papers
+EQUATIONS = "papers-equations.csv"
+HEAD = f"""# The five papers
 
-Claims of each paper beside our reproduction (`rotorwatch reproduce --all`), where its equations and tables are in the code
-(`src`), and its figures; made by `python docs/make_papers.py`. "Only if": holds under that condition. "In part": holds for some
-forms. "Refuted": the opposite is shown. "Not reproduced": it does not come out, but the paper leaves enough open that it may have.
+Claims of each paper beside our reproduction (`rotorwatch reproduce --all`); made by `python docs/make_papers.py`.
+[{EQUATIONS}]({EQUATIONS}) has the place in the code of every equation and table; figures not listed are drawings without data.
+"Only if": holds under that condition. "In part": holds for some forms. "Refuted": the opposite is shown. "Not reproduced": it does not come
+out, but the paper leaves enough open that it may have. `--literal NAME` takes an erratum as printed (`rotorwatch reproduce --help`).
 """
 
 
@@ -52,15 +55,13 @@ def page(data: list[dict]) -> str:
         parts.append(f"## {row['title']}\n\n`rotorwatch reproduce {paper}`, {row['seeds']} seeds. Methods: {methods}.\n")
         if reproduction.note(paper):
             parts.append(textwrap.fill(f"**{reproduction.note(paper)}**", 140, break_on_hyphens=False) + "\n")
-        differ = {claim: found for claim, found in row.get("forms", {}).items() if len(set(found.values())) > 1}
-        for heads, lines in reproduction.by_form(differ):
-            parts.append(_table(heads, [[WORDS.get(text, text) for text in line] for line in lines]))
+        if row.get("forms"):
+            parts.append(f"Verdicts by form of the method: [{_forms(paper)}]({_forms(paper)}).\n")
         claims = [[f"{c['claim'].rstrip('.')}. {c['why']}", c["paper"], c["measured"], _verdict(c)] for c in row["claims"]]
         parts.append(_table(["claim", "the paper", "here", "verdict"], claims))
         parts += [_shown(paper, k, table) for k, table in enumerate(row.get("tables", ()))]
-        parts += [_places(known[paper]), _figures(paper, known[paper]["figures"])]
         literal = ", ".join(f"`{name}`" for name in reproduction.about(paper)[1])
-        parts.append(f"`--literal` takes these errata as printed (explained by `rotorwatch reproduce --help`): {literal}.\n")
+        parts.append(f"{_figures(paper, known[paper]['figures'])}\n`--literal`: {literal}. {known[paper]['numbers']}".rstrip() + "\n")
     return "\n".join(parts)
 
 
@@ -76,35 +77,48 @@ def _file(paper: str, k: int) -> str:
 
 
 def long_tables(data: list[dict]) -> dict[str, str]:
-    """Name -> text of the files of long tables."""
+    """Name -> text of the files of long tables, of verdicts by form and of the equations."""
     files_: dict[str, str] = {}
     for row in data:
         for k, table in enumerate(row.get("tables", ())):
             if len(table["rows"]) > LONG:
-                text = io.StringIO()
-                csv.writer(text, lineterminator="\n").writerows([table["head"], *table["rows"]])
-                files_[_file(row["paper"], k)] = text.getvalue()
-    return files_
+                files_[_file(row["paper"], k)] = _csv([table["head"], *table["rows"]])
+        if row.get("forms"):
+            files_[_forms(row["paper"])] = _csv(by_form(row["forms"]))
+    return files_ | {EQUATIONS: _csv(equations())}
 
 
-def _places(parts: dict) -> str:
-    """Places of equations and tables: a row for each place in the code, with the notes."""
-    places: dict[str, list[str]] = {}
-    for number, _, code, note in parts["equations"] + parts["tables"]:
-        places.setdefault(_code(code), []).append(f"{number} ({note})" if note else number)
-    rows = [[code, ", ".join(numbers)] for code, numbers in places.items()]
-    return f"Equations and tables. {parts['numbers']}".rstrip() + f"\n\n{_table(['in the code', 'printed'], rows)}"
+def by_form(forms: dict[str, dict[str, str]]) -> list[list[str]]:
+    """A row for each claim, a column for each form of the method; empty where a claim is not about that form."""
+    labels = list(dict.fromkeys(label for found in forms.values() for label in found))
+    return [
+        ["claim", *labels],
+        *([claim, *(WORDS.get(found.get(label, ""), found.get(label, "")) for label in labels)] for claim, found in forms.items()),
+    ]
 
 
-def _code(places: str) -> str:
-    """`file: names, file: names` as code, without what ends in nothing."""
-    return f"`{places.removesuffix(': ')}`"
+def _forms(paper: str) -> str:
+    return f"papers-{paper}-forms.csv"
+
+
+def _csv(lines: Iterable[Sequence[str]]) -> str:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(lines)
+    return text.getvalue()
+
+
+def equations() -> list[list[str]]:
+    """Place in the code of every equation and table of the papers, with a head."""
+    lines = [["paper", "printed", "what", "code", "note"]]
+    for paper, parts in files.toml(PARTS, "parts")[0].items():
+        lines += [[paper, number, what, code.removesuffix(": "), note] for number, what, code, note in parts["equations"] + parts["tables"]]
+    return lines
 
 
 def _figures(paper: str, figures: list[list[str]]) -> str:
     """The paper's figures as drawn here, and the plots beyond them."""
     ours = _pictures(paper)
-    found = [f"{number}: {_linked(picture) if picture in ours else picture}" for number, _, picture in figures]
+    found = [f"{number}: {_linked(picture)}" for number, _, picture in figures if picture in ours]
     more = [_linked(name) for name in ours if name not in [picture for *_, picture in figures]]
     return f"Figures. {'; '.join(found)}." + (f" More: {', '.join(more)}." if more else "") + "\n"
 

@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
-from rotorwatch.engine.motion import allocation, flights, overrides
+from rotorwatch.engine.motion import air_spans, allocation, overrides
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
@@ -175,7 +175,7 @@ def test_campaign_on_the_sample_flight():
     assert result["healthy"]["flights"] == 1 and result["healthy"]["false_alarms"] == 0
     assert result["healthy"]["hours"] == pytest.approx(33.0 / 3600, abs=3.0 / 3600)
     assert told == sorted(told) and told[-1] == 1.0
-    ((start, end),) = flights.airborne(flight)
+    ((start, end),) = air_spans.airborne(flight)
     assert all(start + 11.0 <= t["onset_s"] <= end - 12.0 for t in result["trials"])
 
 
@@ -198,6 +198,6 @@ def test_a_real_flight_keeps_following_its_mixer():
     if not path.exists():
         pytest.skip("the real test flights are not here")
     flight = logs.read(path)
-    vehicle, air = airframes.identify(flight), flights.airborne(flight)
+    vehicle, air = airframes.identify(flight), air_spans.airborne(flight)
     faulty = inject.inject(flight, vehicle, 1, 0.2, 40.0)
     assert overrides.overrides(faulty, vehicle, air) == overrides.overrides(flight, vehicle, air) == ()

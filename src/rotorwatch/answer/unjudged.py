@@ -11,8 +11,8 @@ from rotorwatch.answer.wording import listed, seconds
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.intake.ticks import UPSET_LEVEL
-from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.engine.motion.air_spans import commands
+from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.engine.motion.tick_table import GROUND, LEARN, SHORTEST_S, Ticks
 from rotorwatch.flight import Flight
 

@@ -19,8 +19,8 @@ from rotorwatch.engine.bindings.program import TickOutput, threshold
 from rotorwatch.engine.diagnoser import Written
 from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.engine.motion import trust
-from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.air_spans import Gap
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.overrides import in_flight
 from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight import Flight

@@ -16,8 +16,8 @@ from rotorwatch.engine.definition import ENGINE, Samples
 from rotorwatch.engine.estimator.estimator import Result
 from rotorwatch.engine.intake.ticks import Made
 from rotorwatch.engine.motion import overrides as deviations
-from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.air_spans import Gap
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.engine.motion.overrides import Override
 from rotorwatch.engine.motion.tick_table import Plan, Ticks, columns, joined, known_hover, laid_out

@@ -22,8 +22,8 @@ from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import Samples, pieces
 from rotorwatch.engine.diagnoser import Checkpoint, Diagnoser, Judged, Written
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.air_spans import Gap
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.samples import SIGNALS, parts
 from rotorwatch.engine.motion.tick_table import READY_KNOWN_S, READY_S, Plan, Ticks, grounded, plan
 from rotorwatch.engine.window import Window

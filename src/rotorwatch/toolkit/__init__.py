@@ -188,8 +188,8 @@ if TYPE_CHECKING:
     from rotorwatch.engine.estimator.plant import TAU as TAU
     from rotorwatch.engine.estimator.posterior import PLACES as PLACES
     from rotorwatch.engine.motion import allocation as allocation
-    from rotorwatch.engine.motion.allocation import ambiguous_sets as ambiguous_sets
     from rotorwatch.engine.motion.air_spans import airborne as airborne
+    from rotorwatch.engine.motion.allocation import ambiguous_sets as ambiguous_sets
     from rotorwatch.engine.motion.tick_table import GROUND as GROUND
     from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S as HOVER_LEARN_S
     from rotorwatch.engine.motion.tick_table import JUDGE as JUDGE

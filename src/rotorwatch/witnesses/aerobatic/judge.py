@@ -25,8 +25,8 @@ from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.events.losses import WITHIN_95
-from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.air_spans import airborne
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, READY_KNOWN_S, Ticks
 from rotorwatch.engine.motion.tick_table import LEARN as LEARNING
 from rotorwatch.errors import ConfigError

@@ -28,8 +28,8 @@ from rotorwatch import airframes
 from rotorwatch.answer.conclusion import LOPSIDED
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion import trust
-from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.air_spans import airborne
+from rotorwatch.engine.motion.allocation import within
 from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.errors import ConfigError, RotorwatchError, VehicleError
 from rotorwatch.flight import Flight

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.air_spans import output_range
+from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, LOSS

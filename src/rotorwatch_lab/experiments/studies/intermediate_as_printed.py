@@ -146,11 +146,6 @@ def claims(f: dict) -> tuple[Claim, ...]:
     return reproduction.claims(
         "intermediate", verdicts, f=f, fails="; ".join(f"{name} {text}" for name, text in fails.items()), off=off,
         passes=", ".join(name for name, row in rank.items() if row["holds"]),
-        solved="; ".join(
-            f"mu = {r['mu']:g}: alpha = {r['alpha']:.2g}, largest gain {max(r['L']):.2g}, within 0.02 after {_seconds(r['settle_s'])} s"
-            for r in named["its inverse"] if r["feasible"]
-        ),
-        own="; ".join(f"alpha = {r['alpha']:g}: {_seconds(r['settle_s'])} s" for r in named["this project's"]),
     )  # fmt: skip
 
 

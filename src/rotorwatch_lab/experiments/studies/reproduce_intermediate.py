@@ -444,8 +444,8 @@ def _off_claims(position: dict) -> tuple[Claim, ...]:
         key = f"pushed_{name[-1]}"
         verdicts[key] = graded(returned and met, returned and abs(share[near] - 1.0) < ALIKE)
         texts[key] = (
-            f"{_pairs(off[0])} cm under the controller of the flights above; {_pairs(off[near])} cm with one "
-            f"{position['stiffness'][near]:g} times as fast; back within {100 * position[name]['back_m'][0]:.2g} cm"
+            f"{_pairs(off[0])} cm; {_pairs(off[near])} cm with a controller {position['stiffness'][near]:g} times as fast; "
+            f"back within {100 * position[name]['back_m'][0]:.2g} cm"
         )
     off = np.array(position["scenario_4"]["off_m"])[0, 0]
     aside, met = float(off[:2].max()), abs(off[2] / DROP - 1.0) < ALIKE

@@ -46,7 +46,7 @@ def by_form(texts: Mapping[str, str]) -> str:
     """Results of the forms of the sets in one text; the printed form's with and without a restart once where they are equal."""
     labels = dict(FORM_LABELS)
     if texts.get("printed") is not None and texts.get("printed") == texts.get("printed_restart"):
-        labels["printed_restart"] = "as printed, with a restart or without"
+        labels["printed_restart"] = "as printed, restart or not"
         texts = {form: text for form, text in texts.items() if form != "printed"}
     return "; ".join(f"{labels[form]} {text}" for form, text in texts.items())
 
