@@ -58,7 +58,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
     "logs/__init__.py": ("logs_open",),
-    "logs/crazyflie_log.py": ("logs_crazyflie",),
+    "logs/usd.py": ("logs_crazyflie",),
     "logs/dataflash_esc.py": ("esc_readers", "dataflash"),
     "logs/dataflash_text.py": ("dataflash_pymavlink", "dataflash_old", "dataflash"),
     "logs/dataflash_binary.py": ("dataflash", "dataflash_damage", "dataflash_pymavlink"),

@@ -1,4 +1,4 @@
-"""Slow changes in the trim of a flight (engine/drift/): a loss of one rotor that grew or lasts; a turned mount or arm, which costs no thrust
+"""Results of the trim of a flight (engine/drift/): a loss of one rotor that grew or lasts; a turned mount or arm, which costs no thrust
 and accuses no rotor."""
 
 from __future__ import annotations
