@@ -7,6 +7,7 @@ attainable.py            every thrust and moment that a vehicle can still give, 
 null_space.py            commands that move nothing, and the noise that their effect is seen in
 near_ground.py           losses that ground effect explains as well
 leaning.py               a lasting lateral force at rest: contact, however slowly it began
+reports.py               the autopilot's own reports, and quantities beyond five of its limits
 battery.py               whether the battery's voltage fell by more than its current explains
 upset/                   vehicles that departed controlled flight, and why
 esc/                     ESC telemetry: the cause of a loss, stopped rotors, slow motors
