@@ -22,7 +22,6 @@ __version__ = "0.1.0"
 
 # Functions that live in a module of the same name: rotorwatch/diagnose.py holds diagnose.
 _VERBS = {
-    "airborne": "engine.motion.air_spans",
     "calibrate": "calibrate",
     "diagnose": "diagnose",
     "diagnose_many": "diagnose_many",
@@ -31,6 +30,7 @@ _VERBS = {
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",
+    "airborne": "engine.motion.air_spans",
     "serve": "serve.server",
     "mcp": "assistants.mcp_server",
     "Flight": "flight",
