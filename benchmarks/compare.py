@@ -87,7 +87,7 @@ def table(ranked: dict) -> str:
     heads = [ranking.COLUMNS[key] + (", %" if key in ranking.SHARES else "") for key in SHOWN]
     lines = [
         f"\n## {name_of(ranked)}\n",
-        "; ".join([count, *dict.fromkeys(ranked["machines"].values())]) + ".\n",
+        f"{count}.\n",
         f"| method | {' | '.join(heads)} |",
         "|---" * (len(heads) + 1) + "|",
     ]
