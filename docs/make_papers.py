@@ -21,7 +21,7 @@ from rotorwatch_lab.experiments.studies import reproduction
 
 HERE = Path(__file__).parent
 DATA, PARTS, PAGE = HERE / "papers.json", HERE / "papers_parts.toml", HERE / "papers.md"
-LONG = 6  # rows of a table that goes into a file of its own
+LONG = 4  # rows of a table that goes into a file of its own
 WORDS = {"partly": "in part"}  # where no condition is given
 EQUATIONS = "papers-equations.csv"
 HEAD = f"""# The five papers
