@@ -92,6 +92,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "report/sections/all_rotors.py": ("all_rotors",),
     "report/sections/*.py": ("sections", "figures", "words"),
     "report/*.py": ("report",),
+    "engine/motion/tick_table.py": ("ticks",),
     "engine/events/losses.py": ("hypotheses", "announcement", "events"),
     "engine/estimator/known.py": ("limits",),
     "engine/estimator/*.py": ("default_estimator", "engine"),

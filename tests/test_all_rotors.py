@@ -12,11 +12,11 @@ from test_report import text_of
 @pytest.mark.parametrize(
     ("shift", "half", "words"),
     [
-        (0.01, 0.02, "the same thrust at the end as at the beginning, within 2 %"),
-        (0.3, 0.6, "the same thrust at the end as at the beginning, within 15 %"),
+        (0.01, 0.02, "thrust was the same at the end as at the beginning, within 2 %"),
+        (0.3, 0.6, "thrust was the same at the end as at the beginning, within 15 %"),
         (0.3, 3.0, "varied too much"),
-        (0.6, 0.06, "10 % more thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
-        (-0.6, 0.06, "10 % less thrust at the end than at the beginning (95 % interval 9 % to 11 %)"),
+        (0.6, 0.06, "10 % more total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)"),
+        (-0.6, 0.06, "10 % less total thrust was commanded at the end than at the beginning (95 % interval 9 % to 11 %)"),
     ],
 )
 def test_common_mode_in_words(fault, shift, half, words):
@@ -26,5 +26,5 @@ def test_common_mode_in_words(fault, shift, half, words):
 
 def test_it_is_in_every_view_where_it_was_judged(fault):
     there, absent = ((html.page(d), d.to_markdown(), text_of(d)) for d in (fault, replace(fault, common_mode={})))
-    assert all("All rotors together" in text and "commanded the same thrust" in text for text in there)
+    assert all("All rotors together" in text and "total commanded thrust was the same" in text for text in there)
     assert not any("All rotors together" in text for text in absent)

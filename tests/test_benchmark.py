@@ -299,7 +299,7 @@ def test_files_of_different_plans_are_not_mixed(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["quick"], "Give -o FILE.json"),
+        (["quick"], "give -o FILE.json"),
         (["quick", "-o", "x.txt"], "give a name that ends in .json"),
         (["quick", "full", "-o", "x.json"], "One plan at a time"),
         (["quick", "--method", "ekf", "-o", "x.json"], "write package.module:Class"),
@@ -336,7 +336,7 @@ def test_ctrl_c_says_what_is_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "run", stopped)
     done = CliRunner().invoke(cli.cli, ["benchmark", "quick", "--methods", "ekf", "-o", str(tmp_path / "x.json")])
     assert done.exit_code != 0
-    assert "finished flights are kept in" in done.output and "the same command goes on from there" in done.output
+    assert "finished flights are kept in" in done.output and "the same command resumes from there" in done.output
 
 
 # ---------------------------------------------------------------- methods that fail

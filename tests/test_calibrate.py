@@ -87,7 +87,7 @@ def test_what_is_refused(tmp_path):
         calibrate([])
     with pytest.raises(VehicleError, match="one build only"):
         calibrate([flown(), flown("hexa.bin", frame=2, rotors=6)])
-    with pytest.raises(VehicleError, match=r"ground.bin: it shows no flight"):
+    with pytest.raises(VehicleError, match=r"ground.bin: it has no flight"):
         calibrate([on_the_ground()])
     with pytest.raises(LogError):
         calibrate([tmp_path / "missing.bin"])
@@ -103,7 +103,7 @@ def on_the_ground():
 def test_what_is_set_aside_is_said_and_teaches_nothing():
     learned = calibrate([flown(), on_the_ground(), flown("two.bin")])
     assert learned.identified["flights"] == 2 and "ground.bin" not in learned.source
-    assert any("ground.bin was set aside: it shows no flight" in a for a in learned.assumptions)
+    assert any("ground.bin was set aside: it has no flight" in a for a in learned.assumptions)
 
 
 def test_an_airframe_can_be_given():

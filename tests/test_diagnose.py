@@ -13,9 +13,8 @@ import pytest
 
 import rotorwatch
 from rotorwatch import airframes, diagnose, logs
-from rotorwatch.engine import definition, diagnoser
-from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion import tick_table as motion_ticks
+from rotorwatch.engine import definition, driver
+from rotorwatch.engine.motion import air_spans, allocation
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Signal
 from rotorwatch.report import info
@@ -249,7 +248,7 @@ def test_an_unknown_estimator_is_refused_with_the_known_ones():
 
 def test_progress_is_told_in_order_and_all_the_way(monkeypatch):
     """No step of a diagnosis, nor of `info`, is silent: of a long log each takes seconds."""
-    for module in (diagnoser, motion_ticks):
+    for module in (driver, air_spans):
         monkeypatch.setattr(module, "pieces", functools.partial(definition.pieces, most=1000))
     told = []
     diagnose(sample(HEALTHY), progress=lambda share, text="": told.append(share))

@@ -190,7 +190,7 @@ def test_the_report_of_another_method_says_who_found_it():
 
     pytest.importorskip("bokeh")
     found = rw.diagnose(FAULTY, estimator="ekf")
-    assert other_checks.rows(found)[0][0] == "ekf" and "decision that all methods share" in rotor_table.scope(found)
+    assert other_checks.rows(found)[0][0] == "ekf" and "decision stage common to all methods" in rotor_table.scope(found)
     text = html.page(found)
     assert "ekf itself" in text and 'id="plot-own_loss"' in text and "1.96 standard deviations of ekf" in text
 

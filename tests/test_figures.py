@@ -98,7 +98,7 @@ def test_headings_stand_above_plots_that_are_there(fault):
     shown = re.findall(r"<h2>(.*?)</h2>", text)
     first = shown.index("Loss of each rotor over the flight")
     assert shown[first + 1 : first + 5] == [
-        "Motor commands", "Evidence", "Attitude: wanted and flown", "Residuals",  # rates: of vehicles that are flown by rates
+        "Motor commands", "Evidence", "Attitude: setpoint and actual", "Residuals",  # rates: of vehicles that are flown by rates
     ]  # fmt: skip
     few = html.page(replace(fault, trace=replace(fault.trace, evidence={}, messages=(), attitude=None, wanted=None)))
     shown = re.findall(r"<h2>(.*?)</h2>", few)

@@ -54,7 +54,7 @@ def call(run, tmp_path):
 def test_a_folder_is_added_once(call, folder, quick, tmp_path):
     code, out, err = call("add", folder)
     assert code == 0 and out.count("healthy") == 3
-    assert "3 added, 1 files that are no logs; 3 flights in" in err
+    assert "3 added, 1 files that are not logs; 3 flights in" in err
     shutil.copy(folder / "a.bin", folder / "copy of a.bin")
     code, out, err = call("add", folder, folder / "a.bin")
     assert code == 0 and not out and "0 added, 4 known already" in err
@@ -393,7 +393,7 @@ def test_deletion_asks_first(three, monkeypatch, tmp_path):
     monkeypatch.setattr(fleet_flights, "sys", type("Sys", (), {"stdin": Terminal()}))
     words = ["delete", three["a.bin"], "--store", str(tmp_path / "fleet.db")]
     no = CliRunner().invoke(fleet_flights.fleet, words, input="n\n")
-    assert no.exit_code == 1 and "Delete this flight for good?" in no.output and "a.bin" in no.output
+    assert no.exit_code == 1 and "Delete this flight permanently?" in no.output and "a.bin" in no.output
     with Store(tmp_path / "fleet.db") as store:
         assert store.count() == 3
     assert CliRunner().invoke(fleet_flights.fleet, words, input="y\n").exit_code == 0

@@ -187,7 +187,7 @@ def test_a_deleted_flight_leaves_nothing(url):
         assert store.delete(entry("g").hash[:8])["name"] == "g"
         assert plain(store) == before, "its aircraft had no other flight"
         assert left(store) == [f"{last.hash}.html"], "the reports of others stay"
-        with pytest.raises(NotInStore, match="holds no flight"):
+        with pytest.raises(NotInStore, match="has no flight"):
             store.delete(entry("g").hash)
         for odd in ("", "%", "../" * 20, "0" * 64, "\0"):
             with pytest.raises(NotInStore):

@@ -75,7 +75,7 @@ def test_aircraft_are_summed_up_and_named(url):
         assert first["airborne_s"] == 120.0 and first["rotors"] == 4 and first["stale"] and second["flights"] == 1
         store.rename("A", "Old Faithful")
         assert store.find("old faithful") == store.find("uid A") == store.find(first["key"])
-        with pytest.raises(StoreError, match="another name"):
+        with pytest.raises(StoreError, match="another one"):
             store.rename("B", "Old Faithful")
         with pytest.raises(StoreError, match="Old Faithful"):
             store.find("Old Fathful")
@@ -178,7 +178,7 @@ def test_a_step_that_fails_changes_nothing(url, monkeypatch):
 
 @pytest.mark.parametrize(
     ("given", "says"),
-    [("mysql://host/db", "no store"), ("", "empty name"), ("postgresql://rw@127.0.0.1:9/none?connect_timeout=1", "cannot be reached")],
+    [("mysql://host/db", "not a store"), ("", "empty name"), ("postgresql://rw@127.0.0.1:9/none?connect_timeout=1", "cannot be reached")],
 )
 def test_addresses_that_are_no_stores(given, says):
     with pytest.raises((ConfigError, StoreError), match=says) as why:
@@ -188,7 +188,7 @@ def test_addresses_that_are_no_stores(given, says):
 
 def test_files_that_are_no_stores(tmp_path):
     (tmp_path / "text").write_text("This is no database at all, but a text of some length." * 100)
-    for given, says in ((tmp_path, "folder"), (tmp_path / "text", "no store")):
+    for given, says in ((tmp_path, "folder"), (tmp_path / "text", "not a store")):
         with pytest.raises((ConfigError, StoreError), match=says):
             Store(given)
     with pytest.raises(StoreError, match="fleet add"):

@@ -208,7 +208,7 @@ def test_after_garbage_has_taken_over_the_vehicle_is_followed_again():
     alerts, _link = flown(garbage(), lambda at, frame: [] if 8.0 < at < 11.5 else [("a", frame)])
     told = losses(alerts)
     assert told and all(rotors == [2] for _, rotors, _ in told) and told[-1][0] != "withdrawn" and told[0][2] < 28.0
-    assert [text for text in texts(alerts) if "heard through a from now on" in text]
+    assert [text for text in texts(alerts) if "received through a instead of" in text]
 
 
 class Asked(Wire):

@@ -241,7 +241,7 @@ def test_a_rotor_that_stands_is_said_by_its_esc():
     fly(10.0, [5000, 5100, 5200, 5300])
     assert said == [] and seen.words() == "ESC 5000 5100 5200 5300 rpm"
     fly(3.0, [5000, 5100, 0, 5300])
-    assert [(rotor, "stands" in text) for rotor, text in said] == [(3, True)]
+    assert [(rotor, "stopped" in text) for rotor, text in said] == [(3, True)]
     fly(4.0, [5000, 5100, 5200, 5300])
     assert [(rotor, "turns again" in text) for rotor, text in said[1:]] == [(3, True)]
     said.clear()

@@ -124,7 +124,7 @@ def test_truncation_and_damage_anywhere_is_read_or_refused(amount):
     outcomes = []
     for trial in trials:
         try:
-            flight = logs._checked(lambda t=trial: reader.read(t, "x"), usd, Path("x"), ())
+            flight = logs._checked(lambda t=trial: reader.read(t, "x"), reader, Path("x"), ())
             outcomes.append(all(np.isfinite(s.values).all() for s in flight.signals.values()))
         except LogError:
             outcomes.append(None)
@@ -132,7 +132,7 @@ def test_truncation_and_damage_anywhere_is_read_or_refused(amount):
 
 
 def test_recognised_by_content_only():
-    assert usd.sniff(usd([ROW], VARIABLES)[:100], "") and not usd.sniff(b"\xbc\x02\x00\x01\x07\x00", "x.usd")
+    assert reader.sniff(usd([ROW], VARIABLES)[:100], "") and not reader.sniff(b"\xbc\x02\x00\x01\x07\x00", "x.usd")
     with pytest.raises(LogError, match="fixedFrequency"):
         reader.read(bytes([0xBC, 2, 0, 1, 0]) + b"\0\0mode\0\0\0" + bytes(20), "x.usd")
 

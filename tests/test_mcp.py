@@ -324,8 +324,8 @@ def test_the_version_before_is_spoken_too():
     [
         ([], "Name the folders"),
         (["/nowhere/at/all"], "no such folder"),
-        ([str(SAMPLES / HEXA)], "is no folder"),
-        ([str(SAMPLES), "--http"], "a token is needed"),
+        ([str(SAMPLES / HEXA)], "is not a folder"),
+        ([str(SAMPLES), "--http"], "a token is required"),
         ([str(SAMPLES), "--http", "--token", "short"], "at least 16"),
         ([str(SAMPLES), "--http", "--token", "x" * 20, "--host", "0.0.0.0"], "loopback"),
         ([str(SAMPLES), "--max-size", "0"], "max_size"),

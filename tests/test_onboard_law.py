@@ -175,7 +175,7 @@ def test_the_command_writes_it_with_the_prefix_that_was_asked_for(run, tmp_path)
 
 def test_the_command_refuses_what_does_not_fit(run, tmp_path):
     for words, said in (
-        (("--diagnoser", "--estimator", "ekf"), "give one of"),
+        (("--diagnoser", "--estimator", "ekf"), "Give one of"),
         (("--estimator", "ekf", "--prefix", "x"), "belong to --diagnoser"),
         (("--diagnoser", "--dt", "0.1"), "leave --dt"),
         (("--diagnoser", "--rate-hz", "2"), "too slow for on board"),

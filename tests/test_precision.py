@@ -80,7 +80,7 @@ def test_whatever_is_made_makes_jax_compute_in_float64(room):
 import jax
 from rotorwatch import airframes
 from rotorwatch.base import backend, discovery
-from rotorwatch_lab.maths import systems
+from rotorwatch_lab import systems
 from rotorwatch.errors import ConfigError
 wide = []
 for make in {made[room]}:

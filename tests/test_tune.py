@@ -197,7 +197,7 @@ def test_a_tuning_that_was_not_checked_says_so(tuned):
 def test_logs_to_tune_to_are_judged_first(tuned):
     found, _ = tuned(-0.5, "one", "ground", "hexa", "two")
     assert found.flights == ("one.bin", "two.bin")
-    assert any("ground.bin was set aside: it shows no flight" in n for n in found.notes)
+    assert any("ground.bin was set aside: it has no flight" in n for n in found.notes)
     assert any("hexa.bin was set aside: its frame" in n for n in found.notes)
 
 

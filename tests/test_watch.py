@@ -222,7 +222,7 @@ def test_what_is_written_to_a_file_names_the_rotor_first_and_no_more_often_than_
     with pytest.raises(SystemExit):
         cli.main(["watch", str(sample), "--speed", "max"])
     announced, final = [line.partition(": ")[2] for line in capsys.readouterr().out.splitlines()]
-    assert announced.startswith("announced: rotor 3 lost ") and "the motion does not show" in announced
+    assert announced.startswith("announced: rotor 3 lost ") and "missing from the motion" in announced
     assert final.startswith("final: rotor 3 lost ") and len(final) < 60
 
 

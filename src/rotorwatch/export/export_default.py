@@ -95,12 +95,12 @@ void {NAME}_init({NAME}_state *state)
 
 void {NAME}_step({NAME}_state *state, const rw_real *u, const rw_real *y, const bool *valid, {NAME}_out *out)
 {{
-    rw_whole_run(&rw_plant_default, state, 1, u, y, valid, out);
+    rw_batch_run(&rw_plant_default, state, 1, u, y, valid, out);
 }}
 
 void {NAME}_run(int32_t rows, {NAME}_state *state, const rw_real *u, const rw_real *y, const bool *valid, {NAME}_out *out)
 {{
-    rw_whole_run(&rw_plant_default, state, rows, u, y, valid, out);
+    rw_batch_run(&rw_plant_default, state, rows, u, y, valid, out);
 }}
 """
 

@@ -29,6 +29,7 @@ from rotorwatch.flight.vehicle import Vehicle
 WINDOW_S, LEAST, LEAST_WINDOWS = (4.0, 12, 3)  # length of a window, outputs in it, and windows with differences that can be seen
 RATE_HZ = 20.0  # of outputs that are looked at, at least, where there are so many
 PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them have no partner
+ROUNDED = 1e-6  # demand: differences between rotors below this are rounding of a demand that is the same for all
 SEEN = 0.0015  # share of full thrust: rms of differences between rotors, above what rounding to 1 us makes
 LIMIT = 0.01  # share of full thrust from its ends, within which a rotor may be limited
 FOLLOWS, STRAYS = 0.2, 0.4  # cost up to which an output follows a row of the mixer, and from which on it does not
@@ -69,7 +70,7 @@ class Mixing:
         of_y, of_d = (np.add.reduceat(x * x, self.starts) for x in (y, d))
         both = np.add.reduceat(y[:, :, None] * d[:, None, :], self.starts)
         power = of_y.sum(axis=1), of_d.sum(axis=1)
-        seen = (count >= LEAST) & (power[0] > count * n * SEEN**2) & (power[1] > 0.0)
+        seen = (count >= LEAST) & (power[0] > count * n * SEEN**2) & (power[1] > count * n * ROUNDED**2)
         gain = np.sqrt(power[0] / np.where(seen, power[1], np.inf))[:, None, None]
         cost = of_y[:, :, None] + gain**2 * of_d[:, None, :] - 2.0 * gain * both
         # A rotor that moves less than the others is measured by these: rounding is all that it shows.
