@@ -85,12 +85,7 @@ def table(ranked: dict) -> str:
     scores = rows[0]["scores"]
     count = f"{plan['flights']} flights, {scores['clear_faults']:.0f} clear faults, {scores['healthy_h']:.1f} healthy hours"
     heads = [ranking.COLUMNS[key] + (", %" if key in ranking.SHARES else "") for key in SHOWN]
-    lines = [
-        f"\n## {name_of(ranked)}\n",
-        f"{count}.\n",
-        f"| method | {' | '.join(heads)} |",
-        "|---" * (len(heads) + 1) + "|",
-    ]
+    lines = [f"\n## {name_of(ranked)}\n", f"{count}.\n", f"| method | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     for row in rows:
         found, *rest = [ranking.cell(key, row["scores"].get(key)) for key in SHOWN]
         mark = ranking.mark(row).lstrip("0123456789")

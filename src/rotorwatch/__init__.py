@@ -21,12 +21,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 # Functions that live in a module of the same name: rotorwatch/diagnose.py holds diagnose.
-_VERBS = {
-    "calibrate": "calibrate",
-    "diagnose": "diagnose",
-    "diagnose_many": "diagnose_many",
-    "info": "report.info",
-}
+_VERBS = {"calibrate": "calibrate", "diagnose": "diagnose", "diagnose_many": "diagnose_many", "info": "report.info"}
 # Other names: where each one lives.
 _HOMES = {
     "read": "logs",

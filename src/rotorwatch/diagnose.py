@@ -42,7 +42,7 @@ NOT_COMPARED = (
     "flights of a vehicle that does not hover are not compared with healthy ones: the balance of its rotors follows its maneuvers, "
     "so damage present at take-off is not assessed"
 )
-PREPARED, ESTIMATED, JUDGED = 0.7, 0.85, 0.97  # share of the work when that is done
+PREPARED, OTHERS_PREPARED, ESTIMATED, JUDGED = 0.84, 0.5, 0.85, 0.97  # share of the work when that is done; by other estimators
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
@@ -111,12 +111,13 @@ def diagnose(
         aerobatic.decline(flight, "the published methods model hover only; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
-    log = prepare(flight, vehicle, baseline, clock, portion(tell, READ, PREPARED, "preparing"))
+    prepared = PREPARED if estimator == "default" else OTHERS_PREPARED
+    log = prepare(flight, vehicle, baseline, clock, portion(tell, READ, prepared, "preparing"))
     log = log._replace(matters=matters)
     if log.table is None:
         return _no_flight(log, clock)
-    tell(PREPARED, "preparing the estimator (built the first time)")
-    done = estimated(log, estimator, tuning, portion(tell, PREPARED, ESTIMATED, "estimating"))
+    tell(prepared, "preparing the estimator (built the first time)")
+    done = estimated(log, estimator, tuning, portion(tell, prepared, ESTIMATED, "estimating"))
     clock.lap("estimate_s")
     last = judge(log, done, portion(tell, ESTIMATED, JUDGED, "judging"))
     clock.lap("events_s")
