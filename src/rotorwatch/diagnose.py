@@ -146,6 +146,7 @@ def prepare(
     tell(0.2)
     departures = Departures(craft)
     air = departures.of_log(flight, air, portion(tell, 0.2, 0.4))
+    tell(0.4)
     missing = gaps(flight, air) if air else ()
     log = LogCase(
         flight,
