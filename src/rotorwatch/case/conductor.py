@@ -52,6 +52,7 @@ class Case:
         self._tables: list[Ticks] = []  # of the last WINDOW_S
         self._recent: list[Ticks] = []  # after these, in small pieces
         self._heard: dict[str, tuple[float, tuple[Event, ...]]] = {}  # witness -> when it was asked last [s], its claims
+        self._asked = [(one, one.due) for one in witness.registered() if one.stage is Stage.CLAIMS and one.due]  # on a link
         self._open()
 
     def _open(self) -> None:
@@ -173,11 +174,13 @@ class Case:
     def _hear(self) -> None:
         """Ask the witnesses that are due. Their claims on samples that are gone stay."""
         view, since = None, self.now - WINDOW_S
-        for one in witness.registered():
+        for one, due in self._asked:
             looked_s, old = self._heard.get(one.name, (-np.inf, ()))
-            if one.stage is not Stage.CLAIMS or one.due is None or not (self.over or one.due(self.air, self.now, looked_s)):
+            if not (self.over or due(self.air, self.now, looked_s)):
                 continue
             view = view or self._view()
+            if not all(name in view.flight.signals for name in one.needs):
+                continue
             kept = tuple(e for e in old if e.onset_s < since)
             same = {(e.kind, e.rotors, e.extra.get("trouble")) for e in kept}
             new = tuple(e for e in one.hear(view, ()) if (e.kind, e.rotors, e.extra.get("trouble")) not in same)
