@@ -83,10 +83,10 @@ class Inputs(Struct):
     full: Real = 0.0  # full thrust of a rotor
     expo: Real = 0.0  # of the thrust curve
     expo_sd: Real = 0.0  # its standard deviation
-    axial: Real = 0.0  # speed along the thrust axis, m/s, above 0 where the vehicle climbs along it; 0 where it is not known
-    mode: int = 0
-    restart: bool = False  # biases are open again: a new hop, or after a contact
-    hop: bool = False
+    axial: Real = 0.0  # speed along the thrust axis, m/s, positive in a climb along it, 0 if unknown
+    mode: int = 0  # of intake/ticks.py, GROUND to JUDGE
+    restart: bool = False  # widen the biases: a new hop, or after a contact
+    hop: bool = False  # this restart is a new hop
     wrench = array(REAL, 4)
     valid = array(FLAG, 4)
 
