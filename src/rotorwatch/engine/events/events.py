@@ -133,7 +133,7 @@ class Report(Struct):
 
     def tick(self, time: Time, start: Time, upset: bool) -> None:
         """Process the next tick. start: start of its flight, up to one tick after the flight's end; LASTS on the ground. upset: the vehicle
-        is out of control."""
+        tumbles, or has tumbled in this flight."""
         self.now = time
         if start >= LASTS:
             return
