@@ -69,7 +69,7 @@ DISTURBANCE_SCALE, DISTURBANCE_LEAST, DISTURBANCE_MOST = 3.0, 0.03, 1.0
 
 
 class Best(Struct):
-    """One hypothesis at its most probable onset."""
+    """A hypothesis at its most probable onset."""
 
     hypothesis: int = 0
     slot: int = 0
@@ -271,7 +271,7 @@ class Evidence(Struct):
         return 0 if self.asked.weak else ALL_TORQUES
 
     def disturbed(self, p: Plant, gradual: bool) -> Real:
-        """The largest log Bayes factor of a disturbance at any sudden, or any gradual onset."""
+        """Largest log Bayes factor of a disturbance at any sudden, or any gradual onset."""
         faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
         loud = self.loud[1 if gradual else 0]
         most = NOTHING

@@ -70,7 +70,7 @@ class Asked(Struct):
 
 
 class Jump(Struct):
-    """The most probable jump of one hypothesis at each onset."""
+    """Most probable jump of a hypothesis at each onset."""
 
     nats: Each = 0.0  # Bayes factor: weight e^nats
     weight: Each = 0.0

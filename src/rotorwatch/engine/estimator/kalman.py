@@ -24,7 +24,7 @@ OUTLIER = 6.0  # standard deviations at which an innovation is limited, by a lar
 
 
 class Measured(Struct):
-    """One tick's measured wrench."""
+    """Measured wrench of a tick."""
 
     y = array(REAL, 4)
     R = array(REAL, 4)  # variance of its noise
@@ -34,7 +34,7 @@ class Measured(Struct):
 
 
 class Branch(Struct):
-    """One explanation: a set of weak rotors with its own filter."""
+    """An explanation: a set of weak rotors with its own filter."""
 
     s = array(REAL, STATES)
     P = array(REAL, PRODUCTS)  # lower triangle, row by row

@@ -59,7 +59,7 @@ CALM_TURN, CALM_RATE, CALM_SIDE, CALM_THRUST = 0.09, 0.0025, 0.09, 0.0025
 
 
 class Seen(Struct):
-    """One tick's inputs, denoised, and how informative they are."""
+    """Denoised inputs of a tick, and how informative they are."""
 
     thrust = array(REAL, ROTORS)  # commands without the rotors' own jitter
     forward: Real = 0.0  # side force without noise

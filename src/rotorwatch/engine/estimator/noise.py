@@ -30,7 +30,7 @@ GENERIC, GENERIC_WEIGHT = (0.05 * 0.05, 0.05 * 0.05, 0.05 * 0.05, 0.02 * 0.02), 
 
 
 class Noise(Struct):
-    """The noise of all axes. v[component][axis]: variances."""
+    """Noise model of all axes. v[component][axis]: variances."""
 
     v = array(REAL, 4, 4)
     safety = array(REAL, 4)  # factor by which the variances exceed the likelihood's

@@ -54,7 +54,7 @@ ONE_ARM = 0.05  # units of B within which rotors are at the same position
 
 
 class Plant(Struct):
-    """One vehicle, its tick length, and priors before take-off. Constant; `set_plant` completes it."""
+    """A vehicle, its tick length, and priors before take-off. Constant; `set_plant` completes it."""
 
     rotors: int = 0
     dt: Real = 0.05  # length of a tick, s
@@ -92,7 +92,7 @@ class Inputs(Struct):
 
 
 class Rows(Struct):
-    """One tick's measurement matrix: y = h s + noise, one row per axis."""
+    """Measurement matrix of a tick: y = h s + noise, one row per axis."""
 
     h = array(REAL, 4, STATES)
     drag = array(REAL, ROTORS)  # yaw by each rotor's drag

@@ -30,7 +30,7 @@ SAME_ARM = 0.05  # largest distance between two rotors of one arm, as a share of
 
 
 class Event(Struct):
-    """One event. loss, lower and upper hold the rotors of the set in ascending order."""
+    """An event. loss, lower and upper hold the rotors of the set in ascending order."""
 
     onset: Time = 0.0  # s, when it began
     detected: Time = 0.0  # s, when it was detected
@@ -71,7 +71,7 @@ class Event(Struct):
         return self.rotors == rotors
 
     def largest(self) -> Real:
-        """The largest loss of its rotors."""
+        """Largest loss of its rotors."""
         most: Real = 0.0
         for i in range(TOGETHER):
             most = max(most, self.loss[i])

@@ -39,7 +39,7 @@ class Found(Struct):
 
 
 class Record(Struct):
-    """One loss of rotors that failed together and, if they recovered, recovered together. Times in s."""
+    """A loss of rotors that failed together and, if they recovered, recovered together. Times in s."""
 
     onset: Time = 0.0
     detected: Time = 0.0

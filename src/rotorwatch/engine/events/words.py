@@ -109,8 +109,8 @@ class Words(Struct):
 
 
 def severity(e: Event, withdrawn: bool) -> int:
-    """MAV_SEVERITY of an event. CRITICAL: a loss of GRAVE or more, or a rotor that ignores its command. WARNING: such an event with other
-    sets of rotors as alternatives, a loss of MATTERS or more, a partly overridden output or a turned mount. NOTICE: a smaller loss, or a
+    """MAV_SEVERITY of an event. CRITICAL: a loss of GRAVE or more, a stuck rotor, or an output that is STUCK or OFF. WARNING: such an event
+    with alternative sets of rotors, a loss of MATTERS or more, an OVERRIDDEN output, or a turned mount. NOTICE: a smaller loss, or a
     contact. INFO: an event that is over or withdrawn, or a loss below WORN."""
     if withdrawn or (e.kind != CONTACT and e.end < LASTS):
         return INFO
