@@ -1,10 +1,10 @@
-"""When a fault is announced, when a change is taken as explained without one, and when noise may be learned.
+"""Decides at each tick whether to announce a fault, whether a change is explained without one, and whether to learn noise.
 
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
 false-alarm rate is the threshold. Evidence only ranks the given hypotheses, so the fault must also be ten times (CLEAR) likelier than
-any disturbance, at two ticks in a row; thrust has to be missing, and it is either certain (CERTAIN_NATS) or at an onset within the bank's
-reach with commands that went its way (plausibility.py).
+any disturbance, at two ticks in a row. Thrust must also be missing, and the fault must either be certain (CERTAIN_NATS) or have its onset
+within the bank's reach and commands that moved in the direction it demands (plausibility.py).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from rotorwatch.engine.estimator.plant import USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Plausible
 from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
-# Of the statistic's own false alarms - as rare, on surrogates of real noise, as its threshold says - odds and plausibility
-# let pass at most this share: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
+# On surrogates of real noise the statistic's false alarms are as rare as its threshold states. The odds and plausibility tests let at most
+# this share of them pass: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
 GATES = 0.15
 TICKS = 2  # in a row for which all conditions hold
 EDGE = 0.9  # of the bank's reach
@@ -27,38 +27,39 @@ ABSORB_S = 1.0
 
 
 class Alarm(Struct):
-    """How near an announcement is."""
+    """State of the announcement test."""
 
-    limit: Real = 0.0  # nats that a fault needs
-    suspicious: Real = 0.0  # ... from which on no noise is learned
+    limit: Real = 0.0  # nats of evidence that a fault needs
+    suspicious: Real = 0.0  # nats above which no noise is learned
     above: int = 0  # ticks over the limit in a row
     sure_s: Real = 0.0  # s for which something has been certain, yet unannounced
     frozen: Real = 0.0  # s of suspicion in which no noise was learned
     alarm: bool = False  # a fault is announced
-    absorbed: bool = False  # something that certainly happened is explained without
-    statistic: Real = 0.0  # above 0, a fault is more likely than promised
-    possible: bool = False  # the likeliest fault may be true
+    absorbed: bool = False  # a change that certainly happened is explained without a fault
+    statistic: Real = 0.0  # nats above the announcement limits; above 0 a fault is evident enough to announce
+    possible: bool = False  # the likeliest fault is plausible
 
     def begin(self, p: Plant) -> None:
-        """Nothing suspected."""
+        """Set the limits before the first tick."""
         self.limit = threshold(p, GATES * FALSE_ALARM_PERIOD_S)
         self.suspicious = threshold(p, 1.0) + log(MEMORY_S)
 
     def decide(self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool, pushed: bool) -> None:
-        """One tick. best: the likeliest fault; may: may it be true; pushed: something outside pushes the vehicle sideways."""
-        # Something else may have happened as well. Of a pair, which is rare by its prior, that is not asked.
+        """Decide for one tick. best: the likeliest fault; may: its plausibility; judge: this tick is in flight and assessed; pushed: an
+        external force pushes the vehicle sideways."""
+        # An unusually large disturbance also competes, except with a pair, whose prior is low already.
         weak = found.asked.weak
         other = found.other if best.kind == PAIR else either(found.other, found.far)
         self.statistic = min(found.fault - self.limit, found.fault - other - CLEAR)
-        # The most probable onset at the edge of the bank speaks of a drift that began before it, and a command that went the other way
-        # against a rotor: neither where no disturbance comes near one rotor, for manoeuvres swing commands by more. Two rotors fit the
-        # drift of thrust of a vehicle that begins to sink. However strong evidence is, thrust has to be missing: the ground and a hand are
-        # in no model.
+        # An onset at the edge of the bank points to a drift that began earlier, and a command that moved the wrong way contradicts a loss.
+        # Neither counts when no disturbance comes near a single rotor, because manoeuvres swing commands by more. Pairs get no such
+        # exception: they fit the thrust drift of a vehicle that begins to sink. However strong the evidence, thrust must be missing: no
+        # model includes the ground or a hand that holds the vehicle.
         sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.gives <= 0.0
         self.possible = may.missing and not pushed and ((may.asked and best.since < EDGE * bank.reach) or sure)
         self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
         self.alarm = self.above >= TICKS
-        # What certainly happened is explained, whatever it was; where nothing is known to be wrong, only what is no fault.
+        # A certain change is absorbed, whatever its cause, once a rotor is known to be weak; before that only if it is no fault.
         certain = max(found.other, found.fault) > CERTAIN_NATS and (found.other > found.fault + CLEAR or weak)
         self.sure_s = self.sure_s + p.dt if judge and not self.alarm and certain else 0.0
         self.absorbed = self.sure_s >= ABSORB_S
@@ -68,21 +69,20 @@ class Alarm(Struct):
             self.above = 0
 
     def quiet(self, p: Plant, found: Evidence) -> bool:
-        """Noise is not learned while there is more evidence than chance would bring in its memory, but not for ever: whether it may be
-        learned at this tick."""
+        """Whether noise may be learned at this tick: not while evidence exceeds what chance would bring within the noise memory, but such a
+        pause does not last for ever."""
         suspicious = found.fault > self.suspicious
         self.frozen = min(self.frozen + p.dt if suspicious else max(self.frozen - p.dt, 0.0), 2.0 * USUAL_S)
         return not suspicious or self.frozen > USUAL_S
 
 
 def threshold(p: Plant, period: Real) -> Real:
-    """Log of the Shiryaev-Roberts threshold: the mean time to a false alarm, in ticks, is at least its value over the sum
-    of the fault hypotheses' prior weights (about the number of rotors), as far as the noise is what the model says. period: that
-    time in s."""
+    """Log of the Shiryaev-Roberts threshold for a mean time to false alarm of `period` s. In ticks, that time is at least the threshold
+    over the sum of the fault hypotheses' prior weights (about the number of rotors), if the noise follows the model."""
     weight = real(p.rotors) * (1.0 + weight_of(ONE_THRUST)) + real(pair_count(p.rotors)) * weight_of(PAIR)
     return log(period / p.dt * weight)
 
 
 def either(a: Real, b: Real) -> Real:
-    """Log of the sum of two numbers that are known by their logs."""
+    """log(exp(a) + exp(b))."""
     return max(a, b) + log(1.0 + exp(-abs(a - b)))

@@ -1,16 +1,16 @@
-"""A bank of onset times: what a jump at each of them would have done to the filter's innovations since.
+"""A bank of onset times: the effect that a jump at each of them would have had on the filter's innovations since.
 
-For every onset time the part M of a unit jump that the filter has not absorbed is carried along, and with it the information
+For every onset time the bank propagates M, the part of a unit jump that the filter has not absorbed, and the information
 matrix C and vector z of the jump's size (Willsky & Jones, IEEE TAC 21(1), 1976). For a measurement h s with innovation
 nu of variance S and any gain K:
 
     phi = h M,   C += phi' phi / S,   z += phi' nu / S,   M <- A (M - K phi)
 
-Directions of a jump: a step of the bias of each axis; then two errors of the model, which are integrated out; then a loss of each rotor.
-What it takes to yaw this vehicle is the least known of its gains, and the yaw that follows a loss is long and slow. How fast roll and
-pitch die out is known only once it has moved: when it first flies off, both at once look like a rotor's loss.
+Directions of a jump: a step of the bias of each axis; then two model errors, which are integrated out; then a loss of each rotor. The two
+errors are those of the yaw gain, the least known gain of the vehicle, because the yaw that follows a loss is long and slow; and of roll and
+pitch damping, unknown until the vehicle has moved: when it first flies off, damping in both axes at once looks like a rotor's loss.
 
-Slots are reused in turn: dense for recent onsets, sparse for older ones, and a group for losses that show gradually, as a controller
+Slots are reused in turn: dense for recent onsets, sparse for older ones, and one group for losses that show gradually, as the controller
 reveals them.
 """
 
@@ -57,19 +57,20 @@ from rotorwatch.engine.estimator.plant import (
 )
 
 GROUP, GROUPS = 16, 3  # slots of a group
-SHORT, LONG = (1, 2, 4), (1, 5, 3)  # ticks between the slots of a group: for short ticks, and from SLOW_S on
+SHORT, LONG = (1, 2, 4), (1, 5, 3)  # ticks between the slots of each group: for short ticks, and for ticks of SLOW_S or longer
 SLOW_S = 0.08
-YAW_ERROR, DAMPING_ERROR, FIRST_LOSS = 4, 5, 6  # directions; before them the steps of four axes
+YAW_ERROR, DAMPING_ERROR, FIRST_LOSS = 4, 5, 6  # directions; 0 to 3 are the steps of the axes
 
 
 class Observed(Struct):
-    """What one tick's measurement does to all onsets alike; an axis that does not count has no weight, as it has no gain."""
+    """Factors of one tick's measurement, common to all onsets. An axis without a valid measurement has weight 0, as its gain is 0."""
 
-    weight = array(REAL, 4)  # 1 / S, times what evidence is worth in this weather
-    absorbed = array(REAL, 4, 4)  # h_a K_b: axis a sees so much less of what axis b, before it, has seen of a jump
+    weight = array(REAL, 4)  # 1 / S times `calm`
+    absorbed = array(REAL, 4, 4)  # h_a K_b: share of a jump's effect on axis b that the update of b, before a, takes away from axis a
 
     def by(self, p: Plant, rows: Rows, leader: Branch, calm: Reals, counts: Flags) -> None:
-        """By the filter whose innovations they are; calm: what evidence is worth in this weather."""
+        """Compute them from the leading filter. calm (4,): weight of evidence, lower in gusts (model_error.py); counts (4,): the axis is
+        valid."""
         for a in range(4):
             self.weight[a] = calm[a] / leader.S[a] if counts[a] else 0.0
             for b in range(a):
@@ -77,25 +78,25 @@ class Observed(Struct):
 
 
 class Slots(Struct):
-    """LANES onsets of a group, side by side."""
+    """LANES onsets of a group, one per SIMD lane."""
 
-    age: Each = -1.0  # ticks since then, -1 unused
-    gradual: bool = False  # of the group of losses that build up
-    stride: Real = 1.0  # onsets that each stands for
-    before = array(EACH, ROTORS)  # thrust of each rotor above the mean, lately, just before
+    age: Each = -1.0  # ticks since the onset, -1 unused
+    gradual: bool = False  # in the group of losses that build up
+    stride: Real = 1.0  # onset ticks that each slot represents
+    before = array(EACH, ROTORS)  # each rotor's smoothed thrust above the mean, just before the onset
     M = array(EACH, STATES, DIRECTIONS)
     C = array(EACH, CROSSES)  # symmetric: row by row, each up to its diagonal
     z = array(EACH, DIRECTIONS)
 
     def used(self) -> bool:
-        """Whether any is."""
+        """Whether any lane is in use."""
         for lane in range(LANES):
             if one(self.age, lane) >= 0.0:
                 return True
         return False
 
     def open(self, p: Plant, lane: int, before: Reals) -> None:
-        """A jump now."""
+        """Start an onset at this tick in a lane. before: thrust of each rotor above the mean."""
         directions = FIRST_LOSS + p.rotors
         self.age = replaced(self.age, lane, 0.0)
         for r in range(THETA + p.rotors):
@@ -109,7 +110,8 @@ class Slots(Struct):
             self.before[i] = replaced(self.before[i], lane, before[i])
 
     def advance(self, p: Plant, fades: Real) -> None:
-        """One tick on: a sudden jump comes at once, a gradual one by its share of each tick; fades: what of it is left after a tick."""
+        """Propagate by one tick. A sudden jump comes at once, a gradual one in exponentially decreasing parts; fades: share still to come
+        after one tick."""
         directions = FIRST_LOSS + p.rotors
         for a in range(4):
             for b in range(a * PER_AXIS + B1, a * PER_AXIS + B2 + 1):
@@ -134,7 +136,8 @@ class Slots(Struct):
             self.M[THETA + i][FIRST_LOSS + i] += share
 
     def observe(self, p: Plant, rows: Rows, leader: Branch, by: Observed) -> None:
-        """One tick's measurement, of all axes at once: what an axis shows of a jump is less by what those before it have absorbed."""
+        """Update M, C and z with one tick's measurement. Axes are updated in sequence, so an axis shows less of a jump by the part that the
+        axes before it have absorbed."""
         directions = FIRST_LOSS + p.rotors
         phi = local(EACH, 4, DIRECTIONS)
         for a in range(4):
@@ -178,14 +181,14 @@ class Slots(Struct):
 
 
 class Bank(Struct):
-    """All onsets, slot k in lane k % LANES of its pack."""
+    """All onsets; slot k is lane k % LANES of pack k // LANES."""
 
     packs = array(Slots, packed(SLOTS))
     count: int = 0  # ticks so far
-    reach: Real = 0.0  # ticks
+    reach: Real = 0.0  # oldest onset, ticks
 
     def begin(self, p: Plant) -> None:
-        """All slots unused."""
+        """Configure the groups; all slots are unused."""
         for k in range(SLOTS // LANES):
             group = k * LANES // GROUP
             self.packs[k].gradual = group == GROUPS - 1
@@ -193,8 +196,8 @@ class Bank(Struct):
             self.reach = max(self.reach, real(GROUP * _stride(p, group)))
 
     def advance(self, p: Plant, judge: bool, restart: bool, before: Reals, first: int, last: int) -> None:
-        """The packs from `first` to `last` one tick on: where the flight is judged a slot of each group becomes a jump now; elsewhere all
-        are unused."""
+        """Propagate packs `first` to `last` - 1 by one tick. When `judge` is set, a slot of each group starts a new onset at its stride;
+        else, or at a restart, all become unused. before: thrust of each rotor above the mean."""
         fades = exp(-p.dt / ANSWER_S)
         for k in range(first, last):
             pack = self.packs[k]
@@ -217,20 +220,21 @@ class Bank(Struct):
         return one(self.packs[slot // LANES].age, slot % LANES)
 
     def forget(self) -> None:
-        """All slots unused: what they were compared with has changed."""
+        """Mark all slots unused, because the filter that they refer to has changed."""
         for k in range(SLOTS // LANES):
             self.packs[k].age = each(-1.0)
 
 
 class Window(Struct):
-    """What the ticks since each onset say of a jump then, whatever the errors of the model: information C and vector z of its size."""
+    """Information matrix C and vector z of a jump's size at each onset, with the model errors integrated out."""
 
     C = array(EACH, DIRECTIONS, DIRECTIONS)
     z = array(EACH, DIRECTIONS)
 
     def reduce(self, p: Plant, slots: Slots, yaw_error: Real, damping_error: Real) -> None:
-        """Of slots, with both errors of the model integrated out, of given variances: C - c c' / (C_ll + 1 / variance), and z alike.
-        Damping has a least, which is 0: less of it than is known is not allowed for."""
+        """Integrate both model errors, of the given prior variances, out of the slots' C and z: C - c c' / (C_ll + 1 / variance), and z
+        likewise. The damping error may only be positive (less damping than the state has is not considered): where its score is negative
+        its prior variance is set to nearly 0."""
         directions = FIRST_LOSS + p.rotors
         damping = local(EACH, DIRECTIONS)
         for d in range(directions):

@@ -9,7 +9,8 @@ from rotorwatch.engine.intake.ticks import AGAIN
 
 
 def run(p: Plant, e: Estimator, count: int, u: Reals, y: Reals, valid: Flags, out: list[Result]) -> None:
-    """So many ticks, each as `engine.bindings.program.inputs` has them."""
+    """Run `count` ticks. u: a row of rotors + 15 numbers per tick, as `engine.bindings.program.inputs` lays them out; y, valid: 4 per tick
+    (wrench); out: a result per tick."""
     now = Inputs()
     n = p.rotors
     for t in range(count):
@@ -25,7 +26,7 @@ def run(p: Plant, e: Estimator, count: int, u: Reals, y: Reals, valid: Flags, ou
 
 
 def take(p: Plant, u: Reals, first: int, now: Inputs) -> None:
-    """Commands and motion of a tick, from the place `first` of a table on."""
+    """Read the commands and motion of one tick from table u, starting at index `first`."""
     n = p.rotors
     for i in range(n):
         now.thrust[i] = u[first + i]
@@ -43,6 +44,6 @@ def take(p: Plant, u: Reals, first: int, now: Inputs) -> None:
 
 
 def begin(p: Plant, e: Estimator) -> None:
-    """Complete the plant, and be ready for the first tick."""
+    """Complete the plant and initialise the estimator for the first tick."""
     set_plant(p)
     e.begin(p)

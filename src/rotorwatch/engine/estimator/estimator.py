@@ -1,10 +1,10 @@
-"""The default diagnoser: a Kalman filter, a bank of jump detectors on its innovations, and explanations side by side.
+"""The default diagnoser: a Kalman filter, a bank of jump detectors on its innovations, and competing explanations.
 
-The step below is the method, in the order of docs/methods/default.md; each part has its file. The filter (kalman.py) runs on the wrench
+The step below is the method, in the order of docs/methods/default.md; each part has its own file. The filter (kalman.py) runs on the wrench
 balance (plant.py) with the losses theta of already announced rotors in its state. For every onset time in a bank (bank.py) the exact
-effect of a unit jump on the innovations is carried along, so that at each tick the likelihood ratio of any jump at any of these times is
-known, with its most probable size (hypotheses.py, evidence.py). When a fault is announced (announcement.py, plausibility.py) what may
-have happened becomes a few explanations (posterior.py); the best of them leads.
+effect of a unit jump on the innovations is propagated, so that each tick has the likelihood ratio of any jump at any of these times, with
+its most probable size (hypotheses.py, evidence.py). When a fault is announced (announcement.py, plausibility.py) the most likely causes
+become a few explanations, each with its own filter (posterior.py); the best of them leads.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.intake.ticks import GROUND, JUDGE
 
 LEAST_USUAL = 0.1  # hover thrusts
-# Stages of a tick: all filters and the bank a tick ahead; the measurement to the filters and to the bank; explanations weighed; what each
-# onset says; what that means; the explanations that follow; what is told.
+# Stages of a tick: predict all filters (AHEAD) and the bank (SHIFTED); update the filters (MEASURED) and the bank (OBSERVED); weigh the
+# explanations; evaluate the evidence of each onset (ASKED); decide; create explanations (BORN); learn noise and fill the result (TOLD).
 AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, DECIDED, BORN, TOLD = 0, 1, 2, 3, 4, 5, 6, 7, 8
-PIECE = 2  # packs of the bank in a piece of a tick
+PIECE = 2  # packs of the bank processed in one part of a tick
 
 
 class Result(Struct):
-    """What one tick leaves behind. Explanations with the leader first; those without a share are not filled in."""
+    """Result of one tick. The leader is the first explanation; entries of explanations without a share are meaningless."""
 
     theta = array(REAL, ROTORS)  # loss, 0 healthy to 1 dead
     theta_sd = array(REAL, ROTORS)
@@ -61,23 +61,23 @@ class Result(Struct):
     innovation_var = array(REAL, 4)
     log_odds = array(REAL, HYPOTHESES)
     probability = array(REAL, HYPOTHESES)  # among faults
-    statistic: Real = 0.0  # above 0, a fault is more likely than promised
-    best: int = 0  # the likeliest fault
-    onset: Real = 0.0  # ticks since then
+    statistic: Real = 0.0  # nats above the announcement limits; above 0 a fault is evident enough to announce
+    best: int = 0  # hypothesis of the likeliest fault
+    onset: Real = 0.0  # ticks since its onset
     announced: bool = False  # explanations were made at this tick
-    plausible: bool = False  # the likeliest fault may be true
-    pushed: bool = False  # something outside pushes the vehicle sideways
-    onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each
+    plausible: bool = False  # the likeliest fault is plausible
+    pushed: bool = False  # an external force pushes the vehicle sideways
+    onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each explanation
     active = array(FLAG, PLACES, ROTORS)  # weak rotors of each
     each = array(REAL, PLACES, ROTORS)  # their losses
     share = array(REAL, PLACES)  # probability of each
     gives = array(REAL, ROTORS)  # thrust of the leader's rotors that follow no command, 0 of others
     detectable = array(REAL, ROTORS)  # standard deviation with which a loss would be measured now
-    biases = array(REAL, 4)  # disturbances, with how rotors differ as they are built
+    biases = array(REAL, 4)  # disturbances, including the differences between rotors as built
 
 
 class Estimator(Struct):
-    """All that lasts from tick to tick."""
+    """The complete state of the estimator."""
 
     branches = embedded(Branches)
     noise = embedded(Noise)
@@ -94,17 +94,17 @@ class Estimator(Struct):
     measured = embedded(Measured)
     observed = embedded(Observed)
     best = embedded(Best)
-    usual: Real = 1.0  # mean thrust lately, this tick not counted
-    calm = array(REAL, 4)  # weight of this tick's evidence in weather that the noise model lacks
-    unsure: Real = 1.0  # by how much errors have been larger than the noise model says
-    left = array(REAL, 4)  # what the calm parts leave over: the noise learns from it
-    trust = array(REAL, 4)  # how far it may
-    stage: int = AHEAD  # of this tick, and how far in it
-    place: int = 0
-    chosen: bool = False  # there are new explanations at this tick
+    usual: Real = 1.0  # recent mean thrust, without this tick
+    calm = array(REAL, 4)  # weight of this tick's evidence, below 1 in gusts that the noise model lacks
+    unsure: Real = 1.0  # factor by which error variances exceed those of the noise model
+    left = array(REAL, 4)  # residuals including the biases, from which the noise is learned
+    trust = array(REAL, 4)  # weight of each in that, 0 to 1
+    stage: int = AHEAD  # of this tick
+    place: int = 0  # progress within the stage
+    chosen: bool = False  # this tick makes new explanations
 
     def begin(self, p: Plant) -> None:
-        """Before the first tick."""
+        """Initialise before the first tick."""
         self.branches.begin(p)
         self.noise.begin(p)
         self.bank.begin(p)
@@ -113,12 +113,13 @@ class Estimator(Struct):
         self.coupling.begin(p)
 
     def step(self, p: Plant, now: Inputs, out: Result) -> None:
-        """One tick."""
+        """Process one tick."""
         while self.part(p, now, out):
             pass
 
     def part(self, p: Plant, now: Inputs, out: Result) -> bool:
-        """A piece of a tick, the same one until it returns False: then it is done. Pieces are about equally long, and many."""
+        """Process one of the many, about equally long parts of a tick. Call it with the same inputs until it returns False, when the tick
+        is done."""
         judge = now.mode == JUDGE
         flying = now.mode > GROUND
         first = self.place
@@ -171,7 +172,7 @@ class Estimator(Struct):
         return self.stage > AHEAD
 
     def _ahead(self, p: Plant, now: Inputs, flying: bool, k: int) -> None:
-        """One tick ahead: the filter of an explanation."""
+        """Predict the filter of explanation k by one tick."""
         if k == 0:
             for i in range(PLACES):
                 one = self.branches.all[i]
@@ -185,7 +186,7 @@ class Estimator(Struct):
             self.branches.all[k].predict(p, self.noise, self.memory.unsure(), flying)
 
     def _observe(self, p: Plant, first: int, last: int) -> None:
-        """The measurement: to the bank of the explanation that leads."""
+        """Update the packs `first` to `last` - 1 of the leader's bank with the measurement."""
         leader = self.branches.all[0]
         if first == 0:
             self.observed.by(p, self.rows, leader, self.calm, self.measured.counts)
@@ -194,7 +195,7 @@ class Estimator(Struct):
                 self.bank.packs[k].observe(p, self.rows, leader, self.observed)
 
     def _weigh(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
-        """The explanations, by this tick's innovations; and what their leader asks of the bank."""
+        """Weigh the explanations by this tick's innovations, and set up the hypotheses for the leader's bank."""
         leader = self.branches.all[0]
         self.memory.remember(p, leader.innovation, leader.S, self.measured.counts)
         for a in range(4):
@@ -209,7 +210,7 @@ class Estimator(Struct):
         found.ask(p, leader, self.noise, self.seen.thrust, self.rows.drag, self.missing.air(p), self.memory.outside(p), now.full)
 
     def _decide(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
-        """What the bank says of any jump since, and whether that is announced."""
+        """Sum the evidence of all onsets and decide whether to announce a fault."""
         leader = self.branches.all[0]
         found = self.evidence
         found.gather(p)
@@ -220,7 +221,7 @@ class Estimator(Struct):
         self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
 
     def _choose(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
-        """Whether opposite rotors share a loss, and which explanations there are from now on."""
+        """Test whether opposite rotors share a loss, and choose the explanations that follow from this tick."""
         found = self.evidence
         steady = judge and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
         self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak)
@@ -234,7 +235,7 @@ class Estimator(Struct):
             self.branches.choose(p, found, out.best, self.alarm.alarm or shared, shared)
 
     def _learn(self, p: Plant, now: Inputs, flying: bool) -> None:
-        """The noise, while nothing is suspected."""
+        """Learn the noise while no fault is suspected."""
         learns = local(FLAG, 4)
         quiet = self.alarm.quiet(p, self.evidence)
         for a in range(4):
@@ -242,7 +243,7 @@ class Estimator(Struct):
         self.noise.step(p, self.left, learns, self.trust)
 
     def _look(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
-        """How far this tick's inputs and the model can be believed, and the measurement that follows."""
+        """Determine how far to trust this tick's inputs and the model, and build the measurement with its variance R."""
         n = p.rotors
         leader = self.branches.all[0]
         mean = 0.0
@@ -260,8 +261,8 @@ class Estimator(Struct):
                 lost[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]
         seen = self.seen
         self.memory.weigh_inputs(p, now, leader.s, lost, bent, self.noise, flying, seen)
-        # What carries a vehicle that is not clear of the ground says nothing of the curve, and beside a weak rotor a curve looks like
-        # its loss.
+        # The thrust curve is not observable while something other than the rotors may carry the vehicle near the ground, and beside a
+        # weak rotor a curve error looks like its loss.
         if not judge or leader.weak(p):
             seen.curve = 0.0
         seen.gain_share[AIR] = shows_air(now.axial) if flying else 0.0
@@ -289,7 +290,7 @@ class Estimator(Struct):
         m.least = -now.expo / max(now.expo_sd, 1e-9)
         m.most = (1.0 - now.expo) / max(now.expo_sd, 1e-9)
         self.unsure = self.memory.unsure()
-        for a in range(4):  # biases are part of what is left
+        for a in range(4):  # the residual for the noise includes the biases
             x = a * PER_AXIS
             biases = leader.s[x + B1] + leader.s[x + B2] + leader.s[x + B3]
             self.calm[a] = self.memory.calm(a)
@@ -313,13 +314,14 @@ class Estimator(Struct):
             for i in range(n):
                 out.active[k][i] = one.active[i]
                 out.each[k][i] = min(max(one.s[THETA + i], 0.0), 1.0) if one.active[i] else 0.0
-        # The filter believes its noise model; where innovations have been larger or longer than that, so is the error. What alike rotors
-        # lack alike may be theirs, or that of any other such pair.
+        # P assumes the noise model, so scale it where innovations have been larger or more persistent. The smallest loss within an alike
+        # pair may belong to any other such pair instead.
         alike = 1.0
         for i in range(n):
             if leader.alike[i]:
                 alike = min(alike, out.each[0][i])
-        # What of the curve is still open is open of a loss, too: by as much as the rotor is commanded more than is usual, and still gives.
+        # Uncertainty of the thrust curve adds to that of a loss, in proportion to the extra thrust that the rotor is commanded and still
+        # gives.
         more = local(REAL, ROTORS)
         bends = local(REAL, ROTORS)
         for i in range(n):

@@ -1,11 +1,11 @@
-"""How strongly the data speak for a jump of each kind, whenever it was: the bank's onset times summed, and the best one picked.
+"""Evidence for each kind of jump: the sum over all onset times of the bank, and the most probable onset.
 
 With prior weights p_h, and onsets equally likely at any tick, the evidence of a hypothesis h is the sum over the slots w of the bank,
 
     log sum_w BF_wh p_h stride_w
 
-and that of a fault the sum over the hypotheses that are one: the Shiryaev-Roberts statistic (Pollak, Ann. Statist. 13, 1985). With the
-most probable onset and size of a hypothesis comes what the augmented filter would hold, had it known of the jump.
+and that of a fault is the sum over all fault hypotheses: the Shiryaev-Roberts statistic (Pollak, Ann. Statist. 13, 1985). For the most
+probable onset and size of a hypothesis, `shift` gives the jump with which the state of a filter augmented by it is computed.
 """
 
 from __future__ import annotations
@@ -69,18 +69,18 @@ DISTURBANCE_SCALE, DISTURBANCE_LEAST, DISTURBANCE_MOST = 3.0, 0.03, 1.0
 
 
 class Best(Struct):
-    """One hypothesis at its most probable onset."""
+    """A hypothesis at its most probable onset."""
 
     hypothesis: int = 0
     slot: int = 0
-    since: Real = 0.0  # ticks since then
+    since: Real = 0.0  # ticks since the onset
     kind: int = 0
     rotor: int = -1
     other: int = -1
-    size: Real = 0.0  # of the jump of its rotor
-    other_size: Real = 0.0  # ... of its other rotor
+    size: Real = 0.0  # jump of the loss of `rotor`
+    other_size: Real = 0.0  # jump of the loss of `other`
     variance: Real = 0.0  # of a single rotor's size, or of `gives`
-    gives: Real = 0.0  # thrust that its rotor gives, whatever it is commanded
+    gives: Real = 0.0  # hover thrusts that its rotor gives whatever it is commanded, 0 if it follows
 
     def size_of(self, rotor: int) -> Real:
         """Size of the jump of a rotor."""
@@ -88,7 +88,7 @@ class Best(Struct):
 
 
 class Shift(Struct):
-    """A jump in all directions of the bank: most probable size and covariance. A: room to work in."""
+    """A jump in all directions of the bank: most probable size and its covariance. A: workspace."""
 
     size = array(REAL, DIRECTIONS)
     cov = array(REAL, DIRECTIONS, DIRECTIONS)
@@ -96,37 +96,37 @@ class Shift(Struct):
 
 
 class Evidence(Struct):
-    """What all windows say of all hypotheses."""
+    """Evidence of all onsets for all hypotheses."""
 
     asked = embedded(Asked)
-    yaw_error: Real = 0.0  # variance of the gain of yaw
-    damping_error: Real = 0.0  # ... of how much roll and pitch are damped
-    nats = array(EACH, HYPOTHESES)  # Bayes factors of the slots that are looked at: weight e^nats
+    yaw_error: Real = 0.0  # variance of the yaw gain
+    damping_error: Real = 0.0  # variance of the roll and pitch damping
+    nats = array(EACH, HYPOTHESES)  # Bayes factors of the pack in process: weight e^nats
     weight = array(EACH, HYPOTHESES)
-    top = array(REAL, HYPOTHESES)  # the most nats of all slots
-    total = array(REAL, HYPOTHESES)  # sum over all slots, relative to that
-    peak = array(REAL, HYPOTHESES)  # the largest of the slots, relative to that, too
-    place = array(SMALL, HYPOTHESES)  # the first slot that has it
-    # The largest Bayes factor of each disturbance at sudden and at gradual onsets, relative to that.
+    top = array(REAL, HYPOTHESES)  # largest nats of all slots
+    total = array(REAL, HYPOTHESES)  # sum of weight e^nats over all slots, relative to e^top
+    peak = array(REAL, HYPOTHESES)  # largest term of that sum, relative to e^top
+    place = array(SMALL, HYPOTHESES)  # the first slot with that term
+    # The largest Bayes factor of each disturbance at sudden and at gradual onsets, relative to e^top.
     loud = array(REAL, 2, DISTURBANCE_COUNT)
     odds = array(REAL, HYPOTHESES)  # log evidence over all onsets
     probability = array(REAL, HYPOTHESES)  # among faults
-    known = array(REAL, ROTORS)  # the most information on each rotor's jump alone
+    known = array(REAL, ROTORS)  # largest information on each rotor's jump alone
     fault: Real = 0.0  # log of the sum over all faults
-    other: Real = 0.0  # ... over all disturbances
-    far: Real = 0.0  # ... over disturbances much larger than this flight's: something else
-    far_sum: Real = 0.0  # of which exp(far) is a factor, while it is gathered
-    far_nats = array(EACH, DISTURBANCE_COUNT)  # as nats and weight, of these
+    other: Real = 0.0  # log of the sum over all disturbances
+    far: Real = 0.0  # log of the sum over disturbances much larger than is usual in this flight
+    far_sum: Real = 0.0  # that sum relative to exp(far) while it accumulates
+    far_nats = array(EACH, DISTURBANCE_COUNT)  # nats and weight of these large disturbances
     far_weight = array(EACH, DISTURBANCE_COUNT)
-    first: int = 0  # the likeliest fault
+    first: int = 0  # hypothesis of the likeliest fault
     live: int = 0  # the first slot in use, else 0
     window = embedded(Window)
     freed = embedded(Freed)
     jump = embedded(Jump)
 
     def ask(self, p: Plant, leader: Branch, noise: Noise, thrust: Reals, drag: Reals, air: Real, outside: Real, full: Real) -> None:
-        """What the hypotheses are measured by at this tick. thrust, drag: of each rotor; air: thrust that air from below adds; outside:
-        what a force from the side may do; full: thrust of a rotor."""
+        """Set bounds and prior widths of this tick's hypotheses, and clear the sums. thrust, drag: of each rotor; air: thrust that air from
+        below adds; outside: wrench that an external side force may cause; full: full thrust of a rotor. In hover thrusts of one rotor."""
         a = self.asked
         a.weak = False
         a.dead = False
@@ -134,7 +134,7 @@ class Evidence(Struct):
             theta = leader.s[THETA + i]
             a.active[i] = leader.active[i]
             a.theta[i] = theta
-            # A known loss may be taken back; what the filter has absorbed of that already is part of the jump.
+            # A known loss may be reversed; the jump includes the part of this that the filter has absorbed already.
             a.lo[i] = -1.0 if leader.active[i] else 0.0
             a.hi[i] = max(1.0 - theta, 0.0)
             a.weak = a.weak or leader.active[i]
@@ -148,8 +148,8 @@ class Evidence(Struct):
         a.full = full
         for axis in range(4):
             width = min(max(DISTURBANCE_SCALE * sqrt(noise.spread(axis)), DISTURBANCE_LEAST), DISTURBANCE_MOST)
-            # What moving air does to thrust needs no rotor, nor what a force from the side does: it turns the vehicle at an arm as long
-            # as its own.
+            # Moving air changes thrust, and a side force turns the vehicle at a lever arm as long as the vehicle's own, without any fault
+            # of a rotor.
             moved = air * air if axis == THRUST else 0.0
             a.width[axis] = sqrt(width * width + outside * outside + moved)
 
@@ -168,7 +168,7 @@ class Evidence(Struct):
             self.place[h] = 0
 
     def look(self, p: Plant, bank: Bank, first: int, last: int) -> None:
-        """What the packs from `first` to `last` say."""
+        """Add the evidence of packs `first` to `last` - 1."""
         for k in range(first, last):
             pack = bank.packs[k]
             if not pack.used():
@@ -177,7 +177,7 @@ class Evidence(Struct):
             self._add(p, k * LANES, pack)
 
     def gather(self, p: Plant) -> None:
-        """The evidence of all hypotheses, by all windows."""
+        """Log evidence of all hypotheses, after all packs have been added."""
         for h in range(hypothesis_count(p.rotors)):
             self.odds[h] = self.top[h] + log(self.total[h] * weight_of(kind_of(p.rotors, h)))
         self.live = max(self.live, 0)
@@ -186,7 +186,7 @@ class Evidence(Struct):
         self._sum(p)
 
     def _weigh(self, p: Plant, slots: Slots) -> None:
-        """Bayes factors of some onsets."""
+        """Bayes factors of all hypotheses at the onsets of one pack."""
         n = p.rotors
         self.window.reduce(p, slots, self.yaw_error, self.damping_error)
         self.freed.free(p, self.window, self.asked)
@@ -218,7 +218,7 @@ class Evidence(Struct):
         hypotheses.steps(self.window, self.asked.width, FAR, self._first_far(), self.far_nats, self.far_weight)
 
     def _add(self, p: Plant, first: int, slots: Slots) -> None:
-        """What the onsets from slot `first` on say, to that of the others."""
+        """Add the Bayes factors of a pack, whose first slot is `first`, to the sums."""
         faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
         loud = self.loud[1 if slots.gradual else 0]
         for lane in range(LANES):
@@ -256,7 +256,7 @@ class Evidence(Struct):
                 self.far_sum += slots.stride * one(weight, lane) * one(share, lane)
 
     def _rise(self, h: int, faults: int, nats: Real) -> None:
-        """More nats than any onset had for a hypothesis so far: all are relative to that from now on."""
+        """Rescale the sums of a hypothesis to a new largest value of nats."""
         less = exp(self.top[h] - nats)
         self.top[h] = nats
         self.total[h] *= less
@@ -266,11 +266,12 @@ class Evidence(Struct):
             self.loud[1][h - faults] *= less
 
     def _first_far(self) -> int:
-        """Without a weak rotor, of what moves all torques: a large step of one axis has no direction of a rotor."""
+        """First disturbance that may be unusually large. Without a weak rotor these are only the ones that touch all torques, as a large
+        step of one axis has no rotor's direction."""
         return 0 if self.asked.weak else ALL_TORQUES
 
     def disturbed(self, p: Plant, gradual: bool) -> Real:
-        """The largest log Bayes factor of a disturbance at any sudden, or any gradual onset."""
+        """Largest log Bayes factor of a disturbance at any sudden, or any gradual onset."""
         faults = hypothesis_count(p.rotors) - DISTURBANCE_COUNT
         loud = self.loud[1 if gradual else 0]
         most = NOTHING
@@ -284,15 +285,17 @@ class Evidence(Struct):
         self.weight[h] = jump.weight
 
     def _target(self, p: Plant, slots: Slots, i: int) -> Each:
-        """What ends a known loss: of a unit jump the filter has by now, or will have, so much of theta left."""
+        """Size of the jump that ends the known loss of rotor i: -theta over the share of a unit jump that the filter has not absorbed,
+        including the part of a gradual jump still to come."""
         to_come = each(0.0)
         if slots.gradual:
             to_come = exp(-p.dt / ANSWER_S * (slots.age + 1.0))
         return -self.asked.theta[i] / max(slots.M[THETA + i][FIRST_LOSS + i] + to_come, 0.3)
 
     def barred(self, n: int, h: int) -> bool:
-        """Whether a fault is not asked for beside what is known. With a rotor lost altogether the vehicle flies at its limits, where the
-        others look weak: no two of them are judged at once. Beside a weak one it is not asked whether another gives one thrust."""
+        """Whether a fault hypothesis is excluded, given the rotors known to be weak. With a rotor totally lost the vehicle flies at its
+        limits and the others look weak: two further losses at once are excluded. Beside a weak rotor, another rotor stuck at one thrust is
+        excluded. Recovery is excluded for rotors that are not weak."""
         kind = kind_of(n, h)
         fresh = self._fresh(n, h)
         if self.asked.dead and fresh > 1:
@@ -300,7 +303,7 @@ class Evidence(Struct):
         return fresh > 0 and (kind == RECOVERY or (kind == ONE_THRUST and self.asked.weak))
 
     def _fresh(self, n: int, h: int) -> int:
-        """Rotors of a hypothesis that are not known to be weak."""
+        """Number of rotors in a hypothesis that are not known to be weak."""
         rotor = rotor_of(n, h)
         other = other_rotor_of(n, h)
         count = 0
@@ -311,7 +314,8 @@ class Evidence(Struct):
         return count
 
     def _prior(self, p: Plant) -> None:
-        """A rotor that has failed is likely to change again, another one less so, and far less beside one that is lost."""
+        """Add log priors: a rotor that has failed is likely to change again, another rotor is less likely to fail, and far less so when one
+        is totally lost."""
         n = p.rotors
         another = -3.0 * CLEAR if self.asked.dead else -CLEAR if self.asked.weak else 0.0
         for h in range(hypothesis_count(n) - DISTURBANCE_COUNT):
@@ -345,7 +349,7 @@ class Evidence(Struct):
         self.other = least + log(total)
 
     def pick(self, p: Plant, bank: Bank, h: int, out: Best) -> None:
-        """One hypothesis at its most probable onset."""
+        """Fill `out` with hypothesis h at its most probable onset."""
         n = p.rotors
         out.hypothesis = h
         out.kind = kind_of(n, h)
@@ -377,12 +381,12 @@ class Evidence(Struct):
         out.gives = one(jump.gives, lane)
 
     def detectable(self, i: int) -> Real:
-        """Standard deviation with which a loss of a rotor would be measured now."""
+        """Standard deviation with which a loss of rotor i would be measured now."""
         return 1.0 / sqrt(self.known[i] + 1.0 / (LOSS_WIDTH * LOSS_WIDTH))
 
     def shift(self, p: Plant, bank: Bank, best: Best, out: Shift) -> None:
-        """Size and covariance of a jump in all directions, after `pick` of it. What geometry is wrong by counts in how well a loss is
-        known; it does not become a disturbance."""
+        """Size and covariance of a jump in all directions; call `pick` for the same `best` first. The error of the geometry (slop) widens
+        the covariance of a loss but is not attributed to a disturbance."""
         w = self.window
         lane = best.slot % LANES
         reset(out)
@@ -407,7 +411,7 @@ class Evidence(Struct):
             out.cov[rotor][rotor] = best.variance
         elif best.kind == ONE_THRUST:
             out.cov[rotor][rotor] = NONE * NONE
-            for a in range(4):  # what it gives instead of what it is commanded
+            for a in range(4):  # thrust that it gives instead of its command
                 out.size[a] = -p.effect[a][best.rotor] * best.gives
                 for b in range(4):
                     out.cov[a][b] = best.variance * p.effect[a][best.rotor] * p.effect[b][best.rotor]
@@ -442,7 +446,7 @@ class Evidence(Struct):
 
 
 def invert(it: Shift, k: int) -> None:
-    """The first k rows and columns of A, symmetric and positive, become their inverse."""
+    """Invert the first k rows and columns of A, symmetric and positive definite, in place."""
     for d in range(k):
         row = it.A[d]
         pivot = 1.0 / row[d]

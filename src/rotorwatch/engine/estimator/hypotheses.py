@@ -1,4 +1,4 @@
-"""What may have happened: the explicit hypotheses of the default diagnoser, and how strongly a window of data speaks for each.
+"""The explicit hypotheses of the default diagnoser, and the Bayes factor of each in a window of data.
 
 For a jump nu in directions d (rotor losses and axis biases) at a given time, the filter's innovations give the information
 matrix C and vector z of nu (Willsky & Jones 1976). A hypothesis allows a subset of directions; the log
@@ -6,9 +6,9 @@ Bayes factor against "no jump", with a Gaussian prior of width w on each directi
 
     log BF = z.nu - nu.C.nu / 2  -  1/2 sum log(1 + C_dd|rest w^2)        at the most probable admissible nu
 
-It is kept as BF = weight e^nats, nats = z.nu - nu.C.nu / 2: so no logarithm is needed to add them up.
+It is stored as BF = weight e^nats, nats = z.nu - nu.C.nu / 2, so that sums need no logarithm.
 
-In their order: each rotor, each pair of rotors, each rotor well again, each rotor giving one thrust, disturbances.
+Order of the hypotheses: each rotor, each pair of rotors, recovery of each rotor, each rotor stuck at one thrust, disturbances.
 """
 
 from __future__ import annotations
@@ -22,79 +22,80 @@ from rotorwatch.engine.estimator.plant import THRUST, YAW, Plant
 from rotorwatch.engine.events import decisions
 from rotorwatch.engine.events.losses import PAIR_WEIGHT
 
-# Nats by which one explanation has to be better than another before that counts.
+# Nats by which an explanation must exceed another to count as better.
 CLEAR = log(decisions.CLEAR)
-NONE = 0.015  # a loss so small that it is none
+NONE = 0.015  # losses this small count as none
 LOSS_WIDTH, SMALL_WIDTH = 0.3, 0.06
-# Motors stop and propellers come off: this share of losses takes all thrust that a rotor has left.
+# Motors stop and propellers come off: this share of losses takes all the remaining thrust of a rotor.
 TOTAL_SHARE = 0.1
-# In this share of losses thrust changes with the air as well: the vehicle has begun to climb or sink.
+# In this share of losses moving air changes thrust as well, because the vehicle has begun to climb or sink.
 AIR_SHARE = 0.05
-# Share by which what a loss does to roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
-# in moving air rotors that no longer match in speed drag the vehicle round.
+# Share by which the effect of a loss on roll, pitch, yaw and thrust may differ from geometry: inflow and battery change thrust, and
+# in moving air the drag of rotors of unequal speed yaws the vehicle.
 SLOP = (0.1, 0.1, 0.4, 0.3)
-# Something else: this share of disturbances is so many times their usual size. A flight does not show all that may push the vehicle, nor
-# what it will do with a weak rotor.
+# FAR_SHARE of disturbances are FAR times their usual size. A flight does not show every possible external force in advance, nor how the
+# vehicle will behave with a weak rotor.
 FAR_SHARE, FAR = 0.2, 4.0
-# Prior weights: how often each kind of jump happens, relative to one particular rotor failing, or working again. Disturbances are common.
-# A rotor that follows no command any more but gives one thrust, whatever that is, is rarer than one that gives less.
+# Prior weights: frequency of each kind of jump relative to the failure, or recovery, of one particular rotor. Disturbances are common.
+# A rotor stuck at one thrust, which ignores its command, is rarer than one that gives less thrust.
 STUCK_WEIGHT, DISTURBANCE_WEIGHT = 0.1, 3.0
-# By what share of it a loss that ends may differ from what it was thought to be.
+# Share by which the jump that ends a loss may differ from the estimated loss.
 RECOVERY_SHARE = 0.3
-# Hover thrusts that a rotor gives at least that is told to give one thrust; nats of what cannot be.
+# Least thrust of a stuck rotor, in hover thrusts; nats of an impossible hypothesis.
 MORE, NOTHING = 1.25, -50.0
-SERIES = tuple(1.0 / math.factorial(k) for k in range(11, -1, -1))  # of exp, the highest power first
-LEFT = -60.0  # nats of which too little is left to count
-# Disturbances: which of roll (1), pitch (2), yaw (4), thrust (8) they touch.
+SERIES = tuple(1.0 / math.factorial(k) for k in range(11, -1, -1))  # Taylor series of exp, the highest power first
+LEFT = -60.0  # nats below which exp is negligible
+# Disturbances as bit masks of the axes that they touch: roll 1, pitch 2, yaw 4, thrust 8.
 DISTURBANCES = (1, 2, 4, 8, 9, 10, 12, 7, 15)
 DISTURBANCE_COUNT = 9
-ALL_TORQUES = 7  # the first of those that touch all three
+ALL_TORQUES = 7  # index of the first one that touches all three torques
 
 SINGLE, PAIR, RECOVERY, ONE_THRUST, DISTURBANCE = 0, 1, 2, 3, 4  # kinds
 
 
 class Asked(Struct):
-    """What a tick's hypotheses are measured by."""
+    """Bounds and prior widths of one tick's hypotheses. In hover thrusts of one rotor."""
 
-    weak: bool = False  # a rotor is known to be
-    dead: bool = False  # ... and lost altogether
+    weak: bool = False  # a rotor is known to be weak
+    dead: bool = False  # a rotor is known to be totally lost
     active = array(FLAG, ROTORS)
     theta = array(REAL, ROTORS)  # known losses
     lo = array(REAL, ROTORS)  # bounds of a rotor's jump
     hi = array(REAL, ROTORS)
-    width = array(REAL, 4)  # how large disturbances of this aircraft are
-    reach = array(REAL, ROTORS)  # the most that a whole loss does to any axis by geometry
-    drag = array(REAL, ROTORS)  # ... to yaw by its drag
-    air: Real = 0.0  # variance of thrust that air from below or above may make
-    full: Real = 0.0  # thrust of a rotor
+    width = array(REAL, 4)  # standard deviation of this aircraft's disturbances
+    reach = array(REAL, ROTORS)  # largest effect of a total loss on any axis by geometry
+    drag = array(REAL, ROTORS)  # effect of a total loss on yaw by the rotor's drag
+    air: Real = 0.0  # variance of the thrust that vertical air motion may cause
+    full: Real = 0.0  # full thrust of a rotor
 
 
 class Jump(Struct):
-    """The most probable jump of one hypothesis at each onset."""
+    """Most probable jump of a hypothesis at each onset."""
 
     nats: Each = 0.0  # Bayes factor: weight e^nats
     weight: Each = 0.0
-    size: Each = 0.0  # of its rotor
-    other_size: Each = 0.0  # of its other rotor
+    size: Each = 0.0  # jump of its rotor's loss
+    other_size: Each = 0.0  # jump of its other rotor's loss
     variance: Each = 0.0  # of a single rotor's size, or of `gives`
-    gives: Each = 0.0  # thrust that its rotor gives, whatever it is commanded
+    gives: Each = 0.0  # hover thrusts that its rotor gives whatever it is commanded
 
 
 class Freed(Struct):
-    """Each rotor's jump alone when the axes may differ by `slop` from what it does to them: Gaussian steps integrated out. Of losses that
-    come with a change of the air thrust may differ by more."""
+    """Each rotor's jump alone, where its effect on the axes may differ by `slop` from geometry: Gaussian steps, integrated out. In moving
+    air the thrust axis may differ by more."""
 
     slop = array(EACH, 4)  # variances
-    own = array(EACH, 2, ROTORS)  # information, in still and in moving air
-    score = array(EACH, 2, ROTORS)  # vector
-    nats = array(EACH, 2)  # Bayes factor of that freedom: weight e^nats
+    own = array(EACH, 2, ROTORS)  # information on each rotor's loss, in still and in moving air
+    score = array(EACH, 2, ROTORS)  # information vector (z)
+    nats = array(EACH, 2)  # Bayes factor of the slop alone: weight e^nats
     weight = array(EACH, 2)
-    size = array(EACH, 6)  # of a rotor's loss of each kind: the most probable one, its variance, how likely the kind is
-    spread = array(EACH, 6)
-    likely = array(EACH, 6)
+    size = array(EACH, 6)  # most probable loss of a rotor for each kind (small, large, total; in still, then in moving air)
+    spread = array(EACH, 6)  # its variance
+    likely = array(EACH, 6)  # weight of the kind
 
     def free(self, p: Plant, w: Window, a: Asked) -> None:
-        """From a window. SLOP is of what the likeliest rotor would lack, and in yaw all of its drag is uncertain."""
+        """Compute it from a window. SLOP is a share of the effect that the likeliest rotor's loss would have; in yaw all of the rotor's
+        drag is uncertain as well."""
         n = p.rotors
         best = each(-1e30)
         lacks = each(0.0)
@@ -154,8 +155,8 @@ class Freed(Struct):
                 self.score[moving][i] = score[i] - share * step[THRUST]
 
     def weigh(self, a: Asked, i: int, out: Jump) -> None:
-        """Rotor i alone: the Bayes factor. Losses are small as often as large, and now and then total; each kind may come with a change of
-        the air."""
+        """Bayes factor of a loss of rotor i alone. Losses are small as often as large, and occasionally total; each kind may come in moving
+        air."""
         fit = local(EACH, 6)
         most = each(-1e30)
         for k in range(6):
@@ -182,7 +183,7 @@ class Freed(Struct):
             out.weight += self.likely[k]
 
     def loss(self, a: Asked, i: int, out: Jump) -> None:
-        """Rotor i alone: mean and variance of its loss, too, over all its kinds."""
+        """Bayes factor of a loss of rotor i alone, with mean and variance of the loss over all its kinds."""
         self.weigh(a, i, out)
         out.size = each(0.0)
         out.other_size = each(0.0)
@@ -195,7 +196,7 @@ class Freed(Struct):
             out.variance += self.likely[k] / out.weight * (self.spread[k] + away * away)
 
     def recovery(self, i: int, target: Each, out: Jump) -> None:
-        """Rotor i is well again: the jump that ends its loss, within RECOVERY_SHARE of that. It gives more, not less."""
+        """Recovery of rotor i: the jump `target` that ends its loss, within RECOVERY_SHARE of it, and never a further loss."""
         variance = recovery_variance(target)
         c = self.own[0][i]
         z = self.score[0][i]
@@ -211,10 +212,11 @@ class Freed(Struct):
 
 
 def vanishing(nats: Each) -> Each:
-    """exp of what is not above 0, to 1e-13 of it, as products that vectors can do: the series of its root, squared again and again."""
+    """exp(nats) for nats <= 0 to a relative error of 1e-13, by products that vectorise: the Taylor series of exp(nats / 256), squared eight
+    times."""
     root = max(nats, LEFT) * (1.0 / 256.0)
     square = root * root
-    odd = each(SERIES[0])  # powers of the square: twice as many at a time
+    odd = each(SERIES[0])  # odd and even powers in two parallel Horner schemes
     even = each(SERIES[1])
     for k in range(1, 6):
         odd = odd * square + SERIES[2 * k]
@@ -231,8 +233,8 @@ def recovery_variance(target: Each) -> Each:
 
 
 def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
-    """Two rotors explain more than one by chance: what they do has to be geometry's. The most probable sizes inside the box: the interior
-    solution, else on an edge that it lies beyond."""
+    """Bayes factor of losses of rotors i and j. Two rotors fit chance better than one, so their effect must follow geometry exactly (no
+    slop). Most probable sizes inside the box: the interior solution, else the best point on an edge that it lies beyond."""
     precision = 1.0 / (LOSS_WIDTH * LOSS_WIDTH)
     c11 = w.C[FIRST_LOSS + i][FIRST_LOSS + i] + precision
     c22 = w.C[FIRST_LOSS + j][FIRST_LOSS + j] + precision
@@ -260,8 +262,8 @@ def pair(w: Window, a: Asked, i: int, j: int, out: Jump) -> None:
 
 
 def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
-    """Rotor i gives one thrust between MORE and full, whatever it is commanded: the command's part is gone, a jump of hi, and a step of
-    the axes along its column of -B has come instead."""
+    """Bayes factor of rotor i stuck at one thrust between MORE and full, whatever it is commanded: a jump of hi removes the command's
+    effect and a step of the axes along the rotor's column of -B replaces it."""
     c = each(0.0)
     cross = each(0.0)
     left = each(0.0)
@@ -290,12 +292,12 @@ def one_thrust(p: Plant, w: Window, a: Asked, i: int, out: Jump) -> None:
 
 
 def steps(w: Window, width: Reals, far: Real, first: int, nats: Eaches, weight: Eaches) -> None:
-    """Bayes factors of steps of the axes' biases, of any sign and about `far` times `width` large: of the disturbances from `first` on,
-    0 or ALL_TORQUES."""
+    """Bayes factors of the disturbances from `first` on (0 or ALL_TORQUES): steps of the axes' biases with a standard deviation of `far`
+    times `width`."""
     prior = local(REAL, 4)
     for axis in range(4):
         prior[axis] = far * far * width[axis] * width[axis]
-    if first == 0:  # one axis; one with thrust
+    if first == 0:  # one axis; one torque with thrust
         shrinks4 = 1.0 / (w.C[THRUST][THRUST] * prior[THRUST] + 1.0)
         inverse4 = prior[THRUST] * shrinks4
         fit4 = 0.5 * w.z[THRUST] * w.z[THRUST] * inverse4
@@ -312,7 +314,7 @@ def steps(w: Window, width: Reals, far: Real, first: int, nats: Eaches, weight: 
             shrinks = 1.0 / ((c - share * w.C[axis][THRUST]) * prior[axis] + 1.0)
             nats[4 + axis] = fit4 + 0.5 * rest * rest * prior[axis] * shrinks
             weight[4 + axis] = sqrt(shrinks4 * shrinks)
-    # All torques; everything.
+    # All torques; all axes.
     among = local(EACH, 4, 4)
     step = local(EACH, 4)
     for axis in range(4):
@@ -339,17 +341,17 @@ def steps(w: Window, width: Reals, far: Real, first: int, nats: Eaches, weight: 
 
 
 def pair_count(n: int) -> int:
-    """Pairs of n rotors."""
+    """Number of pairs of n rotors."""
     return n * (n - 1) // 2
 
 
 def hypothesis_count(n: int) -> int:
-    """Hypotheses of n rotors."""
+    """Number of hypotheses for n rotors."""
     return 3 * n + pair_count(n) + DISTURBANCE_COUNT
 
 
 def kind_of(n: int, h: int) -> int:
-    """Kind of a hypothesis."""
+    """Kind of hypothesis h: SINGLE, PAIR, RECOVERY, ONE_THRUST or DISTURBANCE."""
     if h < n:
         return SINGLE
     if h < n + pair_count(n):
@@ -360,7 +362,7 @@ def kind_of(n: int, h: int) -> int:
 
 
 def rotor_of(n: int, h: int) -> int:
-    """The (first) rotor of a hypothesis, -1 of a disturbance."""
+    """First or only rotor of a hypothesis, -1 for a disturbance."""
     kind = kind_of(n, h)
     if kind == SINGLE:
         return h
@@ -375,7 +377,7 @@ def rotor_of(n: int, h: int) -> int:
 
 
 def other_rotor_of(n: int, h: int) -> int:
-    """The second rotor of a pair, -1 of others."""
+    """Second rotor of a pair, -1 for other kinds."""
     if kind_of(n, h) != PAIR:
         return -1
     left = h - n
@@ -387,5 +389,5 @@ def other_rotor_of(n: int, h: int) -> int:
 
 
 def weight_of(kind: int) -> Real:
-    """Prior weight of a hypothesis of that kind."""
+    """Prior weight of a hypothesis of this kind."""
     return PAIR_WEIGHT if kind == PAIR else STUCK_WEIGHT if kind == ONE_THRUST else DISTURBANCE_WEIGHT if kind == DISTURBANCE else 1.0

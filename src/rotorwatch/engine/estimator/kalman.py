@@ -1,13 +1,13 @@
-"""The Kalman filter of one explanation: the plant's state x and the losses theta of the rotors that it says are weak.
+"""The Kalman filter of one explanation: the plant's state x and the losses theta of its weak rotors.
 
     s = [x; theta],   s <- A s,   P <- A P A' + Q            Q: noise.py; theta walks while it is refined
-    nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          one axis a after the other: R is diagonal
+    nu = y_a - h_a s,   S = h_a P h_a' + R_a,   s <- s + K nu          axis by axis, as R is diagonal
 
 K is the Kalman gain times the share that each state may learn (model_error.py); the covariance update holds for any gain (Joseph):
 
     P <- (I - K h) P (I - K h)' + K R K'  =  P - K g' - g K',    g = P h' - S K / 2
 
-A loss is refined for USUAL_S, then taken as known, so that errors of the model cannot wear it away.
+A loss is refined for USUAL_S, then fixed, so that model errors cannot erode it.
 """
 
 from __future__ import annotations
@@ -17,48 +17,48 @@ from rotorwatch.engine.estimator.estimator_sizes import PRODUCTS, ROTORS, STATES
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
 from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows, entry
 
-# A loss that has been refined long enough is not yet known if it still grows: has left its mean over so long by its own uncertainty.
+# A loss is not fixed while it still moves: while it differs from its mean over MOVING_S by more than its standard deviation.
 MOVING_S = 2.0
 THETA_WALK = 0.02 * 0.02  # 1/s, while it is refined
-OUTLIER = 6.0  # standard deviations that an innovation counts at most
+OUTLIER = 6.0  # standard deviations at which an innovation is limited, by a larger S
 
 
 class Measured(Struct):
-    """One tick's wrench, as an explanation meets it."""
+    """Measured wrench of a tick."""
 
     y = array(REAL, 4)
     R = array(REAL, 4)  # variance of its noise
-    counts = array(FLAG, 4)
+    counts = array(FLAG, 4)  # the axis is valid
     least: Real = 0.0  # bounds of the state of the thrust curve
     most: Real = 0.0
 
 
 class Branch(Struct):
-    """One explanation: which rotors are weak, with its own filter."""
+    """An explanation: a set of weak rotors with its own filter."""
 
     s = array(REAL, STATES)
-    P = array(REAL, PRODUCTS)  # row by row, each up to its diagonal
-    weight: Real = 0.0  # log, 0 for the leader
+    P = array(REAL, PRODUCTS)  # lower triangle, row by row
+    weight: Real = 0.0  # log weight, 0 for the leader
     onset: Real = 0.0  # ticks since the last jump of a rotor
     active = array(FLAG, ROTORS)  # weak rotors
-    alike = array(FLAG, ROTORS)  # found together as a pair that others look like
-    learning = array(REAL, ROTORS)  # seconds their losses are still refined
-    variance = array(REAL, ROTORS)  # of the losses, after that
-    mean = array(REAL, ROTORS)  # of the losses, lately
-    gives = array(REAL, ROTORS)  # thrust of rotors that follow no command, 0 of others
+    alike = array(FLAG, ROTORS)  # in a pair that other pairs are indistinguishable from
+    learning = array(REAL, ROTORS)  # s for which their losses are still refined
+    variance = array(REAL, ROTORS)  # of the losses, once fixed
+    mean = array(REAL, ROTORS)  # of the losses, over MOVING_S
+    gives = array(REAL, ROTORS)  # thrust of rotors that ignore their command, 0 for others
     gain = array(REAL, 4, STATES)  # of the last tick, axis by axis
     innovation = array(REAL, 4)
     S = array(REAL, 4)  # variance of the innovation
 
     def weak(self, p: Plant) -> bool:
-        """Whether any rotor is."""
+        """Whether any rotor is weak."""
         for i in range(p.rotors):
             if self.active[i]:
                 return True
         return False
 
     def begin(self, p: Plant) -> None:
-        """Before the first tick: nothing is weak, rotors differ as they are built, about the mean of all."""
+        """Initialise before the first tick: no rotor is weak; rotors differ as built, about the mean of all."""
         n = p.rotors
         for r in range(THETA):
             self.s[r] = p.mean[r]
@@ -70,7 +70,7 @@ class Branch(Struct):
                 self.P[entry(THETA + i, THETA + j)] = BUILT_SD * BUILT_SD * (own - 1.0 / real(n))
 
     def hop(self, p: Plant) -> None:
-        """The vehicle starts anew: only what it is like stays known, of rotors that were not weak."""
+        """Start a new hop: keep the vehicle's parameters and the differences between healthy rotors; forget biases and weak rotors."""
         for a in range(4):
             self._forget(p, a * PER_AXIS + B1)
             self._forget(p, a * PER_AXIS + B2)
@@ -90,7 +90,7 @@ class Branch(Struct):
             self.P[entry(r, c)] = 0.0
 
     def open(self, p: Plant) -> None:
-        """Biases are open again, after a contact or at a new hop."""
+        """Widen the biases by their prior variance, after a contact or at a new hop."""
         for a in range(4):
             for b in range(a * PER_AXIS + B1, a * PER_AXIS + B3 + 1):
                 for d in range(4):
@@ -98,8 +98,8 @@ class Branch(Struct):
                         self.P[entry(b, c)] += p.variance[b][c]
 
     def predict(self, p: Plant, noise: Noise, unsure: Real, flying: bool) -> None:
-        """One tick ahead. unsure: by how much errors have been larger than the noise model says. A loss that has been refined long enough
-        is taken as known, its variance is remembered; one that is none is over."""
+        """Predict by one tick. unsure: factor by which error variances exceed those of the noise model. A loss that has been refined long
+        enough is fixed and its variance stored; a rotor whose loss turns out below BUILT_SD is no longer weak."""
         n = p.rotors
         for i in range(n):
             theta = self.s[THETA + i]
@@ -123,7 +123,7 @@ class Branch(Struct):
             first = entry(r, 0)
             for c in range(min(r + 1, SIDEWAYS)):
                 self.P[first + c] *= p.decay[r] * p.decay[c]
-        if flying:  # noise that keeps b1 and b2 stationary and lets b3 walk
+        if flying:  # process noise that keeps b1 and b2 stationary and lets b3 walk
             for a in range(4):
                 b = a * PER_AXIS
                 self.P[entry(b + B1, b + B1)] += noise.v[FAST][a] * (1.0 - p.left[0] * p.left[0])
@@ -134,7 +134,7 @@ class Branch(Struct):
                 self.P[entry(THETA + i, THETA + i)] += THETA_WALK * p.dt
 
     def update(self, p: Plant, rows: Rows, m: Measured, gain_share: Reals) -> None:
-        """One tick's wrench."""
+        """Update with one tick's wrench. gain_share: share of the Kalman gain that each state gets."""
         for a in range(4):
             self._axis(p, a, rows.h[a], m, gain_share, self.gain[a])
 
@@ -169,7 +169,7 @@ class Branch(Struct):
             return
         for r in range(states):
             K[r] = Ph[r] / S * gain_share[r]
-        # What no curve and no air explains is not learned; the bank knows that by the gain.
+        # The curve and air states stay within their physical bounds; the bank sees this through the gain.
         K[CURVE] = _within(self.s[CURVE], K[CURVE], nu, m.least, m.most)
         K[AIR] = _within(self.s[AIR], K[AIR], nu, 0.0, 1e30)
         for r in range(states):
@@ -184,14 +184,14 @@ class Branch(Struct):
 
 
 def _within(state: Real, gain: Real, nu: Real, least: Real, most: Real) -> Real:
-    """The gain that leaves a state within its bounds."""
+    """Gain with which the update leaves a state within its bounds."""
     if abs(nu) <= 1e-9:
         return 0.0
     return (min(max(state + gain * nu, least), most) - state) / nu
 
 
 def swap(a: Branch, b: Branch, room: Branch) -> None:
-    """Two explanations change places."""
+    """Swap two explanations. room: workspace."""
     copy(room, a)
     copy(a, b)
     copy(b, room)

@@ -1,4 +1,4 @@
-"""Ticks whose losses are known, for studies: what their wrench is made of, and the noise that is left. Not part of the method."""
+"""Measurement rows and residual noise of ticks whose losses are known. For studies only, not part of the method."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ NO_BOUND = 1e30
 
 
 def measure(p: Plant, count: int, u: Reals, out: list[Rows]) -> None:
-    """What the wrench of so many ticks is made of, for a state of zeros and the mean thrust of hover. u: as in `whole.run`, less the last
-    two of each tick."""
+    """Measurement rows of `count` ticks for a state of zeros and hover as mean thrust. u: as in `batch.run`, without the last two numbers
+    of each tick."""
     now = Inputs()
     none = local(REAL, STATES)
     for t in range(count):
@@ -23,8 +23,8 @@ def measure(p: Plant, count: int, u: Reals, out: list[Rows]) -> None:
 
 
 def learn(p: Plant, count: int, u: Reals, y: Reals, valid: Flags, flying: Flags, noise: Noise) -> None:
-    """The noise of so many ticks: what a filter leaves that takes all commands and motion for what they are. y: wrench, less what losses
-    take of it."""
+    """Learn the noise of `count` ticks from the residuals of a filter that trusts all commands and motion. y: wrench without the share that
+    the known losses take; u as in `measure`; valid: 4 per tick."""
     now = Inputs()
     m = Measured()
     h = Rows()

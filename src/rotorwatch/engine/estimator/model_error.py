@@ -1,9 +1,9 @@
-"""How far commands and motion can be trusted: which states the filter may learn from them, and how wrong its model may be for a moment.
+"""Trust in commands and motion: which states the filter may learn from them, and the momentary error of its model.
 
-In closed loop the commands answer the noise. Four things follow, each learned the hard way: from small motion the filter would learn the
-controller's gains instead of the vehicle's; a loss must not be regressed on a rotor's own jitter; and gains, damping,
-thrust curve and lag are wrong by some share of what they multiply, which belongs in the measurement noise. Nor may an accelerometer's
-noise count as a side force: a regressor that holds noise makes its coefficient too small (errors in variables).
+In closed loop the commands react to the noise, with four consequences. From small motion the filter would learn the controller's gains
+instead of the vehicle's. A loss must not be regressed on a rotor's own jitter. Gains, damping, thrust curve and lag are wrong by some share
+of what they multiply, which belongs in the measurement noise. And accelerometer noise must not count as side force: noise in a regressor
+biases its coefficient towards 0 (errors in variables).
 """
 
 from __future__ import annotations
@@ -32,66 +32,67 @@ from rotorwatch.engine.estimator.plant import (
     Plant,
 )
 
-GARROTE = 2.5  # how many times its calm level motion must reach to stand out
-MOST = 6.0  # times its calm level that a square counts at most for it
+GARROTE = 2.5  # times its calm level (as amplitude) that motion must exceed to stand out
+MOST = 6.0  # times its calm level at which a square is clipped when the level is learned
 LEVEL_MEMORY_S = 10.0
-# Share by which the motion model may be wrong for a moment, and how many ticks such an error lasts.
+# Share by which the motion model may be wrong momentarily, per axis and for damping, and the duration of such an error in ticks.
 GAIN_ERROR, DAMPING_ERROR = (0.0, 0.0, 0.35, 0.15), 0.3
 ERROR_TICKS = 4.0
 LAG_ERROR_S = 0.015
-# 1 / (m/s) by which air may take more or less than was learned: rotors that climb lose more than those that sink gain.
+# 1 / (m/s) by which the effect of axial air speed may differ from the learned one: rotors lose more in a climb than they gain in a descent.
 AIR_ERROR = 0.01
-# m/s along the thrust axis that speak of the air: slower ones are what a gust has made of the vehicle, which it meets from the other side.
+# m/s along the thrust axis above which speed shows the effect of air: slower motion is caused by gusts, whose air flows the other way.
 STILL = 0.5
-# A rotor that sinks into its own wake, from a quarter of its induced velocity on, gives unsteady thrust, each by itself: by so much at
-# twice that speed [m/s] and beyond.
+# Rotors that sink into their own wake give unsteady thrust, independently of each other, from WASH_SINK [m/s] (a quarter of the induced
+# velocity) on; from twice that speed on the standard deviation is the share WASH.
 WASH, WASH_SINK = 0.1, 1.0
 LASTING_MEMORY_S = 30.0
 GUST_SHARE, LEAST_GAIN = 2.0, 0.3
 FAR, FAR_ERROR = 0.3, 0.5
-SIDE_FORCE = 0.2  # g: a side force that has changed by more, within seconds, comes from outside
-# Shares of full thrust: up to the first a rotor gives what it is commanded; from the second on it is at its limit and may give only the
-# first: batteries sag, speed controllers and simulated motors reach their end early.
+SIDE_FORCE = 0.2  # g: a side force that changes by more within seconds is external
+# Shares of full thrust: up to BELOW_LIMIT a rotor gives its commanded thrust; above AT_LIMIT it is saturated and may give only
+# BELOW_LIMIT, because batteries sag, and speed controllers and simulated motors saturate early.
 BELOW_LIMIT, AT_LIMIT = 0.6, 0.9
-# Calm at first: motion up to about 0.3 rad/s^2, side forces up to 0.3 m/s^2, and half of a tenth of a hover thrust.
+# Initial calm levels (squares): angular acceleration of about 0.3 rad/s^2, rate of 0.05 rad/s, side force of 0.3 m/s^2, thrust of 0.05
+# hover thrusts.
 CALM_TURN, CALM_RATE, CALM_SIDE, CALM_THRUST = 0.09, 0.0025, 0.09, 0.0025
 
 
 class Seen(Struct):
-    """How informative this tick's inputs are."""
+    """Denoised inputs of a tick, and how informative they are."""
 
     thrust = array(REAL, ROTORS)  # commands without the rotors' own jitter
     forward: Real = 0.0  # side force without noise
     right: Real = 0.0
     gain_share = array(REAL, STATES)  # share of the Kalman gain that each state gets
-    curve: Real = 0.0  # by how much this tick's commands stand out, so that they show the thrust curve, 0 to 1
-    far: Real = 0.0  # hover thrusts away from hover
+    curve: Real = 0.0  # how well this tick's commands show the thrust curve, 0 to 1
+    far: Real = 0.0  # distance from hover beyond FAR, hover thrusts
     part = array(REAL, ROTORS)  # commanded thrust above the mean of all
-    trim = array(REAL, ROTORS)  # the same, lately
+    trim = array(REAL, ROTORS)  # its mean over USUAL_S
 
 
 class Memory(Struct):
-    """What is usual in this flight."""
+    """Running statistics of motion, commands, forces and innovations in this flight."""
 
     turn_level = array(REAL, 3)  # calm variance of angular accelerations
-    rate_level = array(REAL, 3)
-    bent_level: Real = 0.0  # ... of what the thrust curve makes of the commands
-    thrust = array(REAL, ROTORS)  # each rotor's thrust less the mean of all, in half a second
+    rate_level = array(REAL, 3)  # calm variance of angular rates
+    bent_level: Real = 0.0  # calm square of the thrust curve's effect on the wrench
+    thrust = array(REAL, ROTORS)  # each rotor's thrust minus the mean of all, averaged over ANSWER_S
     thrust_level = array(REAL, ROTORS)  # its calm variance
-    trim = array(REAL, ROTORS)  # the same as thrust, in six seconds
-    collective: Real = 1.0  # mean thrust
-    side = array(REAL, 2)  # last side force
-    push = array(REAL, 2)  # its mean over half a second
-    usual_push = array(REAL, 2)  # ... and over six
-    lately = array(REAL, 2)  # the largest square of push, fading as fast
-    side_level = array(REAL, 2)  # variance of what changes from tick to tick
-    wrench = array(REAL, 4)  # the last one
-    burst = array(REAL, 4)  # squares of the innovations, relative to their variance
-    lasting = array(REAL, 4)  # the same of their means
+    trim = array(REAL, ROTORS)  # the same as thrust, averaged over USUAL_S
+    collective: Real = 1.0  # mean thrust of all rotors over USUAL_S
+    side = array(REAL, 2)  # last side force, forward and right, m/s^2
+    push = array(REAL, 2)  # its mean over ANSWER_S
+    usual_push = array(REAL, 2)  # its mean over USUAL_S
+    lately = array(REAL, 2)  # largest recent square of push, decaying with ANSWER_S
+    side_level = array(REAL, 2)  # variance of its changes from tick to tick
+    wrench = array(REAL, 4)  # the last valid one
+    burst = array(REAL, 4)  # mean square of the normalised innovations over BURST_S
+    lasting = array(REAL, 4)  # the same for their running means over TAU[1], over LASTING_MEMORY_S
     innovation_mean = array(REAL, 4)
 
     def begin(self, p: Plant) -> None:
-        """Nothing known."""
+        """Set the initial levels."""
         for a in range(3):
             self.turn_level[a] = CALM_TURN
             self.rate_level[a] = CALM_RATE
@@ -105,10 +106,10 @@ class Memory(Struct):
         self.bent_level = CALM_THRUST
 
     def weigh_inputs(self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, flying: bool, seen: Seen) -> None:
-        """One tick's inputs, judged against what was usual. s: state; lost: what the known losses take of the wrench; bent: what a
-        standard deviation of the thrust curve gives to it."""
+        """Weigh one tick's inputs against the running statistics. s: state; lost (4,): part of the wrench that the known losses take; bent
+        (4,): change of the wrench by one standard deviation of the thrust curve."""
         n = p.rotors
-        # A tick without commands (a gap in the log, a link that was cut) says nothing of what is usual.
+        # A tick without commands (a gap in the log, an interrupted link) does not change the statistics.
         past = p.dt if now.valid[0] else 0.0
         fade = past / LEVEL_MEMORY_S if flying else 0.0
         for r in range(THETA + n):
@@ -116,7 +117,7 @@ class Memory(Struct):
         self._motion(p, now, s, lost, bent, noise, fade, seen)
         self._thrusts(p, now, past, 0.0 if now.restart else fade, seen)
         self._side_force(now, past, 0.0 if now.restart else fade, seen)
-        # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are no longer known well.
+        # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are uncertain.
         collective = _mean(p, now)
         usual = collective if now.restart else self.collective
         seen.far = max(abs(collective - usual) - FAR, 0.0) + max(abs(now.load / real(n) - 1.0) - FAR, 0.0)
@@ -133,11 +134,11 @@ class Memory(Struct):
         for a in range(3):
             turn = now.turn[a] * now.turn[a]
             rate = now.rate[a] * now.rate[a]
-            # Below the calm level, angular motion is gyro noise that the rate controller answers: it would teach the filter the
-            # controller's gains instead of the vehicle's. Only motion that stands out teaches (nonnegative garrote).
+            # Below the calm level, angular motion is gyro noise that the rate controller reacts to: the filter would learn the
+            # controller's gains instead of the vehicle's. It learns only from motion that stands out (nonnegative garrote).
             turns = stands_out(self.turn_level[a], turn)
             rates = stands_out(self.rate_level[a], rate)
-            # Motion that gusts have made teaches what the gusts did, not what the vehicle is: it has to need more than they give.
+            # Motion caused by gusts does not show the vehicle's parameters: the wrench that it needs must exceed that of gusts.
             x = a * PER_AXIS
             gain = max(s[x + GAIN], LEAST_GAIN * real(p.rotors) * GAIN_MEAN[a])
             gusts = GUST_SHARE * GUST_SHARE * (noise.v[FAST][a] + noise.v[SLOW][a] + noise.v[DRIFT][a] * TAU[1])
@@ -145,7 +146,7 @@ class Memory(Struct):
             rate_needs = DAMPING_RATE * gain * now.rate[a]
             turns = min(turns, max(0.0, 1.0 - gusts / max(turn_needs * turn_needs, 1e-12)))
             rates = min(rates, max(0.0, 1.0 - gusts / max(rate_needs * rate_needs, 1e-12)))
-            # Motion that nobody commanded is a gust's or a fault's: motion teaches as far as the rotors have made it.
+            # Uncommanded motion comes from a gust or a fault: motion counts only as far as the rotors have caused it.
             need = turn_needs + rate_needs
             made = (now.wrench[a] if now.valid[a] else 0.0) - lost[a] - (s[x + B1] + s[x + B2] + s[x + B3])
             share = min(max(made * need / max(need * need, 1e-12), 0.0), 1.0)
@@ -155,8 +156,8 @@ class Memory(Struct):
             seen.gain_share[x + DAMPING] = rates * share
             self.turn_level[a] += fade * (min(turn, MOST * self.turn_level[a]) - self.turn_level[a])
             self.rate_level[a] += fade * (min(rate, MOST * self.rate_level[a]) - self.rate_level[a])
-        # What the thrust curve is shows where commands leave what they usually are, and the vehicle moves by them: what a controller
-        # answers to gusts moves nothing, and would teach that commands do nothing.
+        # The thrust curve is observable where commands leave their usual values and the vehicle moves accordingly. Commands that merely
+        # counteract gusts cause no motion, from which the filter would learn that commands have no effect.
         bend = 0.0
         for a in range(4):
             bend += bent[a] * bent[a]
@@ -165,9 +166,9 @@ class Memory(Struct):
             self.bent_level += fade * (min(bend, MOST * self.bent_level) - self.bent_level)
 
     def _thrusts(self, p: Plant, now: Inputs, past: Real, fade: Real, seen: Seen) -> None:
-        """What a loss takes is in proportion to the rotor's thrust, but not to its jitter: a disturbance that the controller
-        answers through rotor i would correlate with that rotor's own command and look like its loss.
-        The collective part is common to all rotors and may pass; the torque part is smoothed unless it stands out."""
+        """Remove each rotor's jitter from its commanded thrust. A loss is proportional to the rotor's thrust, but a disturbance that the
+        controller counteracts through rotor i would correlate with that rotor's own command and look like its loss. The collective part
+        is common to all rotors and passes unchanged; the torque part is smoothed unless it stands out."""
         collective = _mean(p, now)
         share = min(past / ANSWER_S, 1.0)
         for i in range(p.rotors):
@@ -184,14 +185,14 @@ class Memory(Struct):
             self.trim[i] = trim + (part - trim) * (past / USUAL_S)
 
     def _side_force(self, now: Inputs, past: Real, fade: Real, seen: Seen) -> None:
-        """A side force counts while its mean stands out of what noise would leave there: as much as changes from tick to tick, were that
-        white. At first 0.2 m/s^2 have to be exceeded; as the flight's own changes become known, less."""
+        """Use a side force only while its mean stands out of what white noise with the variance of its tick-to-tick changes would leave
+        there. The threshold is 0.2 m/s^2 at first, and less as the flight's own changes become known."""
         share = min(past / ANSWER_S, 1.0)
         for k in range(2):
             side = now.forward if k == 0 else now.right
             push = side if now.restart else self.push[k]
             push += (side - push) * share
-            self.lately[k] = max(push * push, self.lately[k] * (1.0 - share))  # also where it changes its sign
+            self.lately[k] = max(push * push, self.lately[k] * (1.0 - share))  # so a change of sign does not reset it
             felt = side * stands_out(0.5 * share * self.side_level[k], self.lately[k])
             if k == 0:
                 seen.forward = felt
@@ -204,7 +205,7 @@ class Memory(Struct):
             self.usual_push[k] += (push - self.usual_push[k]) * (1.0 if now.restart else past / USUAL_S)
 
     def variance(self, p: Plant, now: Inputs, seen: Seen, s: Reals, noise: Noise, out: Reals) -> None:
-        """Variance by which the plant's model may be wrong at this tick; the last wrench is noted."""
+        """Variance (4,) of the model's error at this tick, into out; store the wrench for the next tick."""
         n = p.rotors
         square = local(REAL, ROTORS)
         for i in range(n):
@@ -227,18 +228,18 @@ class Memory(Struct):
                 self.wrench[a] = now.wrench[a]
 
     def calm(self, axis: int) -> Real:
-        """Weight of this tick's evidence: below 1 while innovations are larger than the noise model expects (gusts come in bursts)."""
+        """Weight of this tick's evidence on an axis: below 1 while innovations exceed the noise model (gusts come in bursts)."""
         return 1.0 / max(max(self.burst[axis], self.lasting[axis]), 1.0)
 
     def unsure(self) -> Real:
-        """By how much errors have been larger than the noise model expects, the mean of all axes."""
+        """Factor, at least 1, by which error variances exceed those of the noise model; mean of all axes."""
         total = 0.0
         for a in range(4):
             total += max(max(self.burst[a], self.lasting[a]), 1.0)
         return 0.25 * total
 
     def remember(self, p: Plant, innovation: Reals, variance: Reals, counts: Flags) -> None:
-        """One tick's innovations, where they count."""
+        """Add one tick's innovations, where the axis is valid (counts)."""
         for a in range(4):
             if counts[a]:
                 size = innovation[a] / sqrt(variance[a])
@@ -250,8 +251,8 @@ class Memory(Struct):
                 self.lasting[a] += p.dt / LASTING_MEMORY_S * (lasting - self.lasting[a])
 
     def outside(self, p: Plant) -> Real:
-        """Hover thrusts by which a force from the side may turn the vehicle: an obstacle, a tether, a hand or the ground push at an arm
-        like that of the rotors."""
+        """Torque, in hover thrusts, that an external side force may cause: an obstacle, a tether, a hand or the ground push at a lever arm
+        similar to that of the rotors."""
         x = self.push[0] - self.usual_push[0]
         y = self.push[1] - self.usual_push[1]
         return real(p.rotors) * max(sqrt(x * x + y * y) / G0 - SIDE_FORCE, 0.0)
@@ -265,18 +266,17 @@ def _mean(p: Plant, now: Inputs) -> Real:
 
 
 def stands_out(level: Real, square: Real) -> Real:
-    """Share, 0 to 1, by which what has this square stands out of its calm level."""
+    """Share, 0 to 1, by which a signal with this square stands out of its calm level (nonnegative garrote)."""
     return max(0.0, 1.0 - GARROTE * GARROTE * level / max(square, 1e-12))
 
 
 def shows_air(axial: Real) -> Real:
-    """Share, 0 to 1, by which a speed along the thrust axis [m/s] teaches what air along that axis takes."""
+    """Share, 0 to 1, of the gain with which AIR is learned at a speed along the thrust axis [m/s]."""
     return max(0.0, 1.0 - STILL * STILL / max(axial * axial, 1e-12))
 
 
 def unknown_damping(p: Plant, s: Reals) -> Real:
-    """Variance of how much more roll and pitch may be damped than the state says: up to what two standard deviations above the usual
-    are."""
+    """Variance of the excess of the true roll and pitch damping over the state's: up to two prior standard deviations above the mean."""
     gain = max(0.5 * (s[GAIN] + s[PER_AXIS + GAIN]), LEAST_GAIN * real(p.rotors) * GAIN_MEAN[0])
     most = (DAMPING_RATE + 2.0 * DAMPING_RATE_SD) * gain  # light vehicles with long arms
     return most * most

@@ -1,4 +1,4 @@
-"""How noisy is this aircraft, on every time scale: variances of a four-component noise model, learned causally.
+"""Noise of this aircraft on every time scale: variances of a four-component noise model, learned causally.
 
 The residual's structure function at lag L,  D(L) = E[(e(t) - e(t - L))^2] / 2,  of white noise, two coloured disturbances (time
 constants TAU) and a random walk is
@@ -6,7 +6,7 @@ constants TAU) and a random walk is
     D(L) = s_w^2 + sum_j s_j^2 (1 - exp(-L / tau_j)) + q L / 2
 
 Each squared difference is a chi-square sample of D(L), so the variances (s_w^2, s_1^2, s_2^2, q) >= 0 have a gamma likelihood; its
-multiplicative (expectation-maximisation) update keeps them positive and needs no solver: a few iterations a tick, warm.
+multiplicative (expectation-maximisation) update keeps them positive and needs no solver: a few warm-started iterations per tick.
 """
 
 from __future__ import annotations
@@ -17,32 +17,32 @@ from rotorwatch.engine.estimator.plant import ANSWER_S, TAU, Plant
 
 LAGS = (1, 2, 4, 8, 16, 32, 64)  # ticks
 LAG_COUNT = 7
-MEMORY_S = 60.0  # how long a squared difference counts
-CLIP = 6.0  # a square counts at most this many times what is expected of it: a fault must not look like noise
+MEMORY_S = 60.0  # time constant with which squared differences are forgotten
+CLIP = 6.0  # squares are clipped at this many times their expectation: a fault must not be learned as noise
 GROWTH_WEIGHT = 0.05
-CERTAIN = 5.0  # samples of a lag beyond which more of them count no more
+CERTAIN = 5.0  # samples at which the weight of a lag saturates
 ITERATIONS = 3
 # Floor of the white variance, in hover thrusts: one PWM step of a few rotors.
 FLOOR = 0.0008 * 0.0008
 WHITE, FAST, SLOW, DRIFT = 0, 1, 2, 3
-# Variances of these before a flight has shown its own, and how many samples a lag that counts for.
+# Prior variances of these components, and the number of samples per lag that the prior is worth.
 GENERIC, GENERIC_WEIGHT = (0.05 * 0.05, 0.05 * 0.05, 0.05 * 0.05, 0.02 * 0.02), 0.02
 
 
 class Noise(Struct):
-    """The noise of all axes. v[component][axis]: variances."""
+    """Noise model of all axes. v[component][axis]: variances."""
 
     v = array(REAL, 4, 4)
-    safety = array(REAL, 4)  # by which the variances are larger than the likelihood's
-    weight = array(REAL, LAG_COUNT, 4)  # sums for D
-    total = array(REAL, LAG_COUNT, 4)
+    safety = array(REAL, 4)  # factor by which the variances exceed the likelihood's
+    weight = array(REAL, LAG_COUNT, 4)  # samples per lag; D = total / weight
+    total = array(REAL, LAG_COUNT, 4)  # sum of half squared differences
     basis = array(REAL, LAG_COUNT, 4)  # D at each lag for a unit of each variance
     ring = array(REAL, RING, 4)  # last residuals
-    known = array(FLAG, RING, 4)
-    newest: int = 0  # place of the last one
+    known = array(FLAG, RING, 4)  # they are valid
+    newest: int = 0  # ring index of the last one
 
     def begin(self, p: Plant) -> None:
-        """Before the first tick: variances of healthy flights, or generic ones."""
+        """Initialise before the first tick with the plant's variances: those of healthy flights, or generic ones."""
         for lag in range(LAG_COUNT):
             seconds = LAGS[lag] * p.dt
             self.basis[lag][WHITE] = 1.0
@@ -62,7 +62,7 @@ class Noise(Struct):
         return b[WHITE] * white + b[FAST] * fast + b[SLOW] * slow + b[DRIFT] * drift
 
     def spread(self, axis: int) -> Real:
-        """Variance of everything but white noise over ten seconds: how large this aircraft's disturbances are."""
+        """Variance of this aircraft's disturbances: all components but white noise, over ten seconds."""
         return self.v[FAST][axis] + self.v[SLOW][axis] + self.v[DRIFT][axis] * 5.0
 
     def step(self, p: Plant, e: Reals, ok: Flags, trust: Reals) -> None:
@@ -87,7 +87,7 @@ class Noise(Struct):
                 forget = exp(-p.dt / MEMORY_S * trust)
                 self.weight[lag][a] = self.weight[lag][a] * forget + share
                 self.total[lag][a] = self.total[lag][a] * forget + share * square
-        # Long lags have few samples at first: until then suppose that variance grows with the lag, as disturbances do.
+        # Long lags have few samples at first: until they have more, assume that variance grows with the lag, as for disturbances.
         first = self.total[0][a] / self.weight[0][a]
         for lag in range(LAG_COUNT):
             grown = first * (1.0 + LAGS[lag] * p.dt / ANSWER_S)

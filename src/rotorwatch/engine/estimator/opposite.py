@@ -1,12 +1,12 @@
-"""A sudden shift that is a disturbance, or else a pair of opposite rotors that explains it as well.
+"""Tests whether a sudden shift is a loss shared by a pair of opposite rotors instead of a disturbance.
 
-Torques of opposite rotors cancel in roll and pitch, so that the shift left in thrust (and yaw) is what battery, payload or a gust make,
-too - but those do not come within a tick. Which of the pairs it is, and how they share the loss, motion does not say: the hypothesis is one
-loss nu that both rotors of a pair have. With C (q, q) and z (q,) of the bank and d = e_i + e_j its log Bayes factor against "no jump" is
-that of a single rotor with information d'C d and vector d'z (hypotheses.py): one number, as the step of an axis is, and not two, of which
-one would be paid for but never seen.
+Torques of opposite rotors cancel in roll and pitch. The remaining shift in thrust (and yaw) could also come from the battery, payload or a
+gust, but those do not act within one tick. Motion does not show which pair it is or how its rotors share the loss, so the hypothesis is one
+loss nu common to both rotors of a pair. With C (q, q) and z (q,) of the bank and d = e_i + e_j, its log Bayes factor against "no jump" is
+that of a single rotor with information d'C d and vector d'z (hypotheses.py). This has one parameter, like the step of an axis; a second one
+would cost evidence without being observable.
 
-Only steady flight can tell: who climbs, drops or turns changes the air that all rotors meet.
+The test needs steady flight: climbs, drops and turns change the inflow of all rotors.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR
 from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Missing, torque_free
 
-# rad/s of yaw, above which its drag is known too badly for that; and load factor away from 1, beyond what the loss itself takes off: no
-# loss lifts a vehicle
+# Yaw rate [rad/s] above which yaw drag is too uncertain for the test; deviation of the load factor from 1, beyond the reduction by the loss
+# itself (a loss never lifts a vehicle).
 TURNING, HEAVING = 0.15, 0.2
-LEAST_ROTORS = 6  # a quadrotor's pairs can be distinguished by their yaw: there the fault hypotheses say all there is to say
+LEAST_ROTORS = 6  # yaw distinguishes the pairs of a quadrotor, so the fault hypotheses suffice there
 
 
 class Opposite(Struct):
-    """A pair that is suspected."""
+    """A suspected pair."""
 
-    lasted: Real = 0.0  # s for which it has been so
-    pair: int = -1  # the hypothesis, at the tick that says so, else -1
+    lasted: Real = 0.0  # s for which a pair has been suspected
+    pair: int = -1  # its hypothesis at the tick that confirms it, else -1
     onset: Real = 0.0  # ticks ago
     loss: Real = 0.0  # of each of its rotors
 
     def suspect(self, p: Plant, bank: Bank, found: Evidence, missing: Missing, alarm: Alarm, calm: bool) -> None:
-        """One tick. calm: flight without turns of which nothing is known but a disturbance."""
+        """Test one tick; confirm a pair that is suspected for ANSWER_S. calm: steady flight without turns, announcements or weak rotors."""
         before = self.lasted
         self.lasted = 0.0
         self.pair = -1
@@ -55,7 +55,7 @@ class Opposite(Struct):
                 h = p.rotors
                 for i in range(p.rotors):
                     for j in range(i + 1, p.rotors):
-                        # No weight is above 1: most pairs are out by their nats alone.
+                        # Weights are at most 1, so nats alone exclude most pairs.
                         if torque_free(p, i, j) and _nats(found.window, lane, i, j, LOSS_WIDTH) > best:
                             loss = _shared(found.window, lane, i, j, LOSS_WIDTH)
                             factor = either(_fit(found.window, lane, i, j, SMALL_WIDTH), _fit(found.window, lane, i, j, LOSS_WIDTH)) - log(
@@ -69,7 +69,7 @@ class Opposite(Struct):
                         h += 1
         if pair < 0:
             return
-        forgotten = exp(age * p.dt / USUAL_S)  # of the heaving meanwhile
+        forgotten = exp(age * p.dt / USUAL_S)  # decay of the heave statistics since the onset
         steady = missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors) and missing.rose * forgotten < HEAVING
         disturbed = max(found.disturbed(p, False) - 2.0 * CLEAR, found.disturbed(p, True))
         if steady and best > disturbed:
@@ -80,20 +80,20 @@ class Opposite(Struct):
 
 
 def contested(p: Plant, h: int) -> bool:
-    """Whether a hypothesis is such a pair, of a vehicle on which there are several."""
+    """Whether hypothesis h is a pair of opposite rotors on a vehicle with several such pairs."""
     if p.rotors < LEAST_ROTORS or kind_of(p.rotors, h) != PAIR:
         return False
     return torque_free(p, rotor_of(p.rotors, h), other_rotor_of(p.rotors, h))
 
 
 def _shared(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
-    """The most probable loss that both rotors have, of losses about so large."""
+    """Most probable loss, 0 to 1, common to both rotors, with a prior standard deviation of `width`."""
     score = one(w.z[FIRST_LOSS + i], lane) + one(w.z[FIRST_LOSS + j], lane)
     return min(max(score / (_information(w, lane, i, j) + 1.0 / (width * width)), 0.0), 1.0)
 
 
 def _nats(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
-    """The nats of its Bayes factor."""
+    """Exponent of the Bayes factor of that loss."""
     size = _shared(w, lane, i, j, width)
     left = _information(w, lane, i, j) + 1.0 / (width * width)
     score = one(w.z[FIRST_LOSS + i], lane) + one(w.z[FIRST_LOSS + j], lane)
@@ -101,7 +101,7 @@ def _nats(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
 
 
 def _fit(w: Window, lane: int, i: int, j: int, width: Real) -> Real:
-    """Its log Bayes factor."""
+    """Log Bayes factor of that loss."""
     return _nats(w, lane, i, j, width) - 0.5 * log(_information(w, lane, i, j) * width * width + 1.0)
 
 

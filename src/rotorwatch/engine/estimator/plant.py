@@ -1,4 +1,4 @@
-"""Commanded wrench = what the motion needed + slow disturbances + what faulty rotors did not deliver.
+"""Wrench balance: commanded wrench = wrench that the motion needed + slow disturbances + shortfall of faulty rotors.
 
 For each axis a of roll, pitch, yaw and thrust, in hover thrusts of one rotor (docs/methods/default.md derives it):
 
@@ -6,12 +6,12 @@ For each axis a of roll, pitch, yaw and thrust, in hover thrusts of one rotor (d
 
 y = B T: commanded wrench; T: commanded thrusts; m: angular acceleration [rad/s^2], and for thrust the load factor times n; r: angular rate
 [rad/s]; f: side force per mass [m/s^2], -right for roll and forward for pitch; v: speed along the thrust axis [m/s]; b1, b2: coloured
-disturbances with time constants TAU; b3: a drift; d_i, for yaw: what the drag of rotor i turns in a side force (Martin and Salaun, ICRA
-2010); theta_i: loss of rotor i. On coaxial frames the lower rotors of all arms give a share s more than B says: y_a - ... - s (dB/ds T)_a,
-with B kept such that hover takes the same command. How far the thrust curve is bent is a state as well.
+disturbances with time constants TAU; b3: a drift; d_i, for yaw: torque by the drag of rotor i in a side force (Martin and Salaun, ICRA
+2010); theta_i: loss of rotor i. On coaxial frames the lower rotors of all arms give a share s more than in B: y_a - ... - s (dB/ds T)_a,
+with B kept such that hover takes the same command. The curvature of the thrust curve is a state as well.
 
 The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no damping, holds l in its last place; then CURVE, AIR (k), SHARE
-(s). After it come the losses theta, from THETA on. A row of an axis is zero but in the axis' own states and from SIDEWAYS on.
+(s). After it come the losses theta, from THETA on. The row of an axis is zero except in the axis' own states and from SIDEWAYS on.
 """
 
 from __future__ import annotations
@@ -27,53 +27,52 @@ SIDEWAYS, CURVE, AIR, SHARE, THETA = 19, 20, 21, 22, 23
 YAW_GAIN, LOAD_GAIN = 13, 18
 
 TAU = (0.25, 1.0)  # s
-# What any multirotor is like, in these units. Angular gains of roll, pitch and yaw, per rotor: squared radius of gyration over
-# g times the arm (over g times the propellers' drag ratio for yaw), 3 to 60 cm arms. Motion dies out, at DAMPING_RATE in
-# 1/s, from air through the rotors and past the body: damping is that rate times the gain, whatever the gain turns out to be.
-# Thrust against load factor is one to one by the choice of unit.
+# Priors for any multirotor, in these units. Angular gains of roll, pitch and yaw, per rotor: squared radius of gyration over
+# g times the arm (over g times the propellers' drag ratio for yaw), 3 to 60 cm arms. Air through the rotors and past the body damps motion
+# at DAMPING_RATE in 1/s: damping is that rate times the gain, for any gain. Thrust against load factor is one to one by the choice of unit.
 GAIN_MEAN = (0.005, 0.005, 0.13, 0.0)
 GAIN_SD = (0.004, 0.004, 0.1, 0.005)
 DAMPING_RATE, DAMPING_RATE_SD = 2.0, 1.5
-# Hover thrusts per m/s^2 of side force and rotor: air that pushes the body sideways also tilts it, by the flapping of its blades and by
-# where it pushes. Real quadrotors: 0.05 to 0.2; rigid rotors in the plane of the centre of mass: 0.
+# Hover thrusts per m/s^2 of side force and rotor: air that pushes the body sideways also tilts it, by blade flapping and by the point where
+# the force acts. Real quadrotors: 0.05 to 0.2; rigid rotors in the plane of the centre of mass: 0.
 SIDE, SIDE_SD = 0.05, 0.07
-# Yaw, in hover thrusts, that a side force of 1 g through one rotor makes where rotors stand one unit of B apart: arm over drag ratio.
-# Arms grow with that gap and drag ratios with the propeller that fills it, so the product is alike for all frames: about 20 where rotors
-# take all of the side force, and 9 +- 3 in flights of real quadrotors (docs/methods/default.md).
+# Yaw, in hover thrusts, by a side force of 1 g through one rotor where rotors are one unit of B apart: arm over drag ratio. Arms grow with
+# that gap and drag ratios with the propeller that fills it, so the product is similar for all frames: about 20 where the rotors take all of
+# the side force, and 9 +- 3 in flights of real quadrotors (docs/methods/default.md).
 DRAG = 6.0
 BIAS_SD = (0.5, 0.5, 1.0, 0.4)
-BUILT_SD = 0.03  # by which a rotor's thrust differs from the others' as vehicles are built: a share of it
-# Of a lower rotor's thrust, relative to what its share in B says: 75 to 95 % and more of the upper one's.
+BUILT_SD = 0.03  # share by which rotors of a vehicle differ in thrust as built
+# Standard deviation of a lower rotor's thrust relative to its share in B: it gives 75 to 95 % and more of the upper one's.
 SHARE_SD = 0.12
-# Rotors lose 0.4 of their hover thrust over the induced velocity, which is 4 m/s and more; drag of the body adds as much and more where it
-# is light: 0.03 to 0.1 in flights.
+# Per m/s of axial speed, rotors lose 0.4 of their hover thrust over the induced velocity, which is 4 m/s or more; body drag adds as much,
+# and more on light vehicles: 0.03 to 0.1 in flights.
 INFLOW, INFLOW_SD = 0.05, 0.05  # 1 / (m/s)
-# Times [s] that all parts share: by when a controller has answered what happened; how long a burst lasts, of errors that the noise model
-# does not expect, as a change brings them; over which what is usual is averaged.
+# Time constants [s] common to all parts: response of a controller; duration of a burst of errors beyond the noise model, as after a change;
+# averaging of usual values.
 ANSWER_S, BURST_S, USUAL_S = 0.5, 3.0, 6.0
-ONE_ARM = 0.05  # units of B within which rotors stand in the same place
+ONE_ARM = 0.05  # units of B within which rotors are at the same position
 
 
 class Plant(Struct):
-    """One vehicle with its ticks, and what is known before take-off. Constant; `set_plant` completes it."""
+    """A vehicle, its tick length, and priors before take-off. Constant; `set_plant` completes it."""
 
     rotors: int = 0
     dt: Real = 0.05  # length of a tick, s
     effect = array(REAL, 4, ROTORS)  # B: wrench of each rotor's thrust
     lower = array(REAL, ROTORS)  # 1 for the lower rotors of coaxial arms
-    mean = array(REAL, PLANT_STATES)  # of the state
+    mean = array(REAL, PLANT_STATES)  # prior of the state
     variance = array(REAL, PLANT_STATES, PLANT_STATES)
-    noise = array(REAL, 4, 4)  # variances of white noise, both coloured ones and the drift, of each axis
-    noise_weight: Real = 0.0  # samples a lag that these count for
-    more = array(REAL, ROTORS)  # by how much each rotor's thrust grows with the lower rotors' share
-    across = array(REAL, ROTORS)  # yaw that each rotor's drag makes of a force forward, and to the right
-    along = array(REAL, ROTORS)
+    noise = array(REAL, 4, 4)  # prior variances of white noise, both coloured disturbances and the drift, of each axis
+    noise_weight: Real = 0.0  # samples per lag that these are worth
+    more = array(REAL, ROTORS)  # derivative of each rotor's thrust with respect to the lower rotors' share
+    across = array(REAL, ROTORS)  # yaw by each rotor's drag per m/s^2 of side force to the right
+    along = array(REAL, ROTORS)  # the same for a forward force
     decay = array(REAL, STATES)  # diagonal of the state's transition
     left = array(REAL, 2)  # share of b1 and b2 that is left after a tick
 
 
 class Inputs(Struct):
-    """What one tick brings: commanded thrusts in hover thrusts, motion, and which of the wrench can be believed."""
+    """Inputs of one tick: commanded thrusts in hover thrusts, motion, and the wrench with its validity."""
 
     thrust = array(REAL, ROTORS)
     turn = array(REAL, 3)  # angular acceleration, rad/s^2
@@ -84,19 +83,19 @@ class Inputs(Struct):
     full: Real = 0.0  # full thrust of a rotor
     expo: Real = 0.0  # of the thrust curve
     expo_sd: Real = 0.0  # its standard deviation
-    axial: Real = 0.0  # speed along the thrust axis, m/s, above 0 where the vehicle climbs along it; 0 where it is not known
-    mode: int = 0
-    restart: bool = False  # biases are open again: a new hop, or after a contact
-    hop: bool = False
+    axial: Real = 0.0  # speed along the thrust axis, m/s, positive in a climb along it, 0 if unknown
+    mode: int = 0  # of intake/ticks.py, GROUND to JUDGE
+    restart: bool = False  # widen the biases: a new hop, or after a contact
+    hop: bool = False  # this restart is a new hop
     wrench = array(REAL, 4)
     valid = array(FLAG, 4)
 
 
 class Rows(Struct):
-    """One tick's measurement y = h s + noise, an axis a row."""
+    """Measurement matrix of a tick: y = h s + noise, one row per axis."""
 
     h = array(REAL, 4, STATES)
-    drag = array(REAL, ROTORS)  # yaw that each rotor's drag makes
+    drag = array(REAL, ROTORS)  # yaw by each rotor's drag
 
 
 def set_plant(p: Plant) -> None:
@@ -110,7 +109,7 @@ def set_plant(p: Plant) -> None:
             apart = sqrt(x * x + y * y)
             if max(abs(x), abs(y)) >= ONE_ARM and (gap <= 0.0 or apart < gap):
                 gap = apart
-    # The unit of thrust stays the hover command: what the lower rotors give more, all give less.
+    # The unit of thrust stays the hover command: extra thrust of the lower rotors reduces that of all.
     common = 0.0
     for i in range(n):
         common += p.effect[3][i] * p.lower[i] / real(n)
@@ -128,15 +127,15 @@ def set_plant(p: Plant) -> None:
 
 
 def _bent(share: Real, expo: Real) -> Real:
-    """By how much a steeper curve changes the share of full thrust that the command of this share gives."""
+    """Derivative with respect to expo of the share of full thrust at the command that gives `share` under this expo."""
     straight = 1.0 - expo
     command = 2.0 * share / (sqrt(straight * straight + 4.0 * expo * share) + straight + 1e-9)
     return command * command - command
 
 
 def bend(p: Plant, now: Inputs, thrust: Reals, usual: Real, out: Reals) -> None:
-    """Thrust that each rotor gives more where the curve's expo is a standard deviation larger, at the same commands, while that of the
-    command that gives `usual` stays as it is: battery and air change that, too."""
+    """Extra thrust of each rotor at the same commands if the curve's expo were one standard deviation larger. The thrust at the command
+    that gives `usual` is kept constant, since battery and air change it too."""
     full = max(now.full, 1e-3)
     usually = _bent(usual / full, now.expo)
     for i in range(p.rotors):
@@ -145,7 +144,7 @@ def bend(p: Plant, now: Inputs, thrust: Reals, usual: Real, out: Reals) -> None:
 
 
 def bent_wrench(p: Plant, bends: Reals, out: Reals) -> None:
-    """What `bend` of the rotors does to each axis."""
+    """Wrench (4,) of the rotors' `bend`."""
     for a in range(4):
         out[a] = 0.0
         for i in range(p.rotors):
@@ -153,14 +152,15 @@ def bent_wrench(p: Plant, bends: Reals, out: Reals) -> None:
 
 
 def drag(p: Plant, thrust: Reals, forward: Real, right: Real, out: Reals) -> None:
-    """Yaw that each rotor's drag in the plane of the rotors makes; of all together, what a healthy vehicle need not be commanded."""
+    """Yaw torque by each rotor's in-plane drag; their sum is yaw that a healthy vehicle need not be commanded. forward, right: side force,
+    m/s^2."""
     for i in range(p.rotors):
         out[i] = sqrt(max(thrust[i], 0.0)) * (p.along[i] * forward + p.across[i] * right)
 
 
 def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Reals, usual: Real, out: Rows) -> None:
-    """The measurement of a tick, for commands `thrust` and a side force; s: state, which the thrust curve and the lower rotors' share are
-    taken from; usual: mean thrust lately, about which the curve is bent."""
+    """Measurement matrix of a tick for commands `thrust` and a side force [m/s^2]. s: state, source of the thrust curve and the lower
+    rotors' share; usual: recent mean thrust, about which the curve bends."""
     n = p.rotors
     bends = local(REAL, ROTORS)
     bend(p, now, thrust, usual, bends)
@@ -188,12 +188,12 @@ def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Re
 
 
 def entry(r: int, c: int) -> int:
-    """Where row r and column c of a symmetric matrix stand that is kept row by row, each up to its diagonal."""
+    """Index of row r and column c in a symmetric matrix stored as its lower triangle, row by row."""
     return r * (r + 1) // 2 + c if r >= c else c * (c + 1) // 2 + r
 
 
 def dot(row: Reals, s: Reals, axis: int, states: int) -> Real:
-    """A row of an axis times a state."""
+    """Product of an axis' row with the first `states` elements of the state."""
     total = 0.0
     for r in range(axis * PER_AXIS, min(axis * PER_AXIS + PER_AXIS, SIDEWAYS)):
         total += row[r] * s[r]

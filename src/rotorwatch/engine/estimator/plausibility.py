@@ -1,6 +1,6 @@
-"""Before a loss is announced: has the controller commanded more of that rotor, and is the thrust missing that it no longer gives?
+"""Plausibility tests before a loss is announced: the controller must command more of that rotor, and its lost thrust must be missing.
 
-Evidence says which explanation fits best; these gates say whether the best one can be true at all.
+Evidence ranks the explanations; these tests check whether the best one is physically possible.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THRUST, USUAL_S, Inputs, Plant
 
-# Both may be off by a standard deviation of this flight's disturbances, and by as much as the slack in calm air.
+# Both tests tolerate a standard deviation of this flight's disturbances, and at least the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
 MISSING_SLACK = 0.15  # hover thrusts of one rotor
 # Share of a rotor's thrust that air from below adds for each m/s: 0.4 of hover thrust over induced velocity, which is 4 m/s and more.
 INFLOW = 0.1
-# Hover thrusts: a command is not less than the first; share of the mean command below which a rotor is taken off it.
+# Lower limit of a command in divisions, hover thrusts; share of the mean command below which the controller has cut a rotor.
 LEAST_THRUST, CUT_SHARE = 0.1, 0.5
-LIMIT_S = 2.0  # how long it is remembered that a rotor was at its limit
-CANCELS = 0.05  # units of B: torques of two rotors that cancel are no larger together
+LIMIT_S = 2.0  # time constant with which a rotor's saturation is forgotten
+CANCELS = 0.05  # units of B below which the sum of two rotors' torques counts as 0
 
 
 class Missing(Struct):
@@ -33,13 +33,13 @@ class Missing(Struct):
     fast: Real = 0.0  # over ANSWER_S
     slow: Real = 0.0  # over USUAL_S
     usual: Real = 0.0  # slow, one tick ago
-    heave: Real = 0.0  # how far the load factor was from 1, lately
-    rose: Real = 0.0  # how far above
-    climb: Real = 0.0  # speed that it has made, lately, m/s
-    limit = array(REAL, ROTORS)  # share of its thrust that a rotor near its limit may have lacked, lately
+    heave: Real = 0.0  # largest recent deviation of the load factor from 1
+    rose: Real = 0.0  # the same, above 1 only
+    climb: Real = 0.0  # vertical speed from recent acceleration, m/s
+    limit = array(REAL, ROTORS)  # share of its thrust that a saturated rotor may recently have lacked
 
     def follow(self, p: Plant, now: Inputs, lacking: Real) -> None:
-        """One tick on. lacking: commanded thrust minus load factor times its gain."""
+        """Update with one tick. lacking: commanded thrust minus load factor times its gain."""
         valid = now.valid[THRUST]
         up = now.load / real(p.rotors) - 1.0 if valid else 0.0
         left = exp(-p.dt / USUAL_S)
@@ -65,21 +65,21 @@ class Missing(Struct):
             self.limit[i] = max(lacks, self.limit[i] * kept)
 
     def air(self, p: Plant) -> Real:
-        """Thrust, in hover thrusts of one rotor, that air from below adds to that of all when the vehicle has begun to sink; below 0 when
-        it has begun to climb."""
+        """Thrust, in hover thrusts of one rotor, that air from below adds to all rotors together when the vehicle has begun to sink;
+        negative in a climb."""
         return -INFLOW * real(p.rotors) * self.climb
 
 
 class Coupling(Struct):
-    """By what share of it a loss of rotor j raises the command of rotor i, above the mean of all, where its own loss counts 1.
+    """raises[i][j]: rise of rotor i's command above the mean of all by a loss of rotor j, relative to the rise by its own loss.
 
-    A controller makes up for the wrench B x that is missing with the least change of thrusts, B' (B B')^-1 B x. Of opposite rotors each
-    has to rise by itself: where they lose the same neither does, and only steady flight can tell (opposite.py)."""
+    A controller compensates for the missing wrench B x with the least change of thrusts, B' (B B')^-1 B x. For opposite rotors the coupling
+    is set to 0, so each must rise by itself; if both lose the same, neither does, and only steady flight shows it (opposite.py)."""
 
     raises = array(REAL, ROTORS, ROTORS)
 
     def begin(self, p: Plant) -> None:
-        """Of a vehicle."""
+        """Compute the coupling from the vehicle's B."""
         n = p.rotors
         A = local(REAL, 4, 4)
         y = local(REAL, 4, ROTORS)
@@ -111,15 +111,15 @@ class Coupling(Struct):
 
 
 def torque_free(p: Plant, i: int, j: int) -> bool:
-    """Whether equal losses of these two rotors make no torque in roll and pitch."""
+    """Whether equal losses of these two rotors cause no roll or pitch torque."""
     return abs(p.effect[0][i] + p.effect[0][j]) < CANCELS and abs(p.effect[1][i] + p.effect[1][j]) < CANCELS
 
 
 class Plausible(Struct):
-    """Whether the likeliest jump may be what happened."""
+    """Result of the plausibility tests for the likeliest jump."""
 
-    asked: bool = False  # the commands went the way of it
-    missing: bool = False  # thrust is missing as it says, and no limit explains that
+    asked: bool = False  # the commands moved in the direction that it demands
+    missing: bool = False  # its thrust is missing, and saturation does not explain that
 
     def judge(
         self,
@@ -133,16 +133,16 @@ class Plausible(Struct):
         noise: Noise,
         coupling: Coupling,
     ) -> None:
-        """Of the likeliest fault at this tick."""
+        """Test the likeliest fault `best`, found in `slots`, at this tick."""
         n = p.rotors
         lane = best.slot % LANES
         since = best.since * p.dt
-        # Two rotors at once are rare: they have to show as they would in calm air.
+        # Simultaneous losses of two rotors are rare and get only the tolerance of calm air.
         two = best.other >= 0 and abs(best.other_size) > 0.0 and abs(best.size) > 0.0
         rough = 0.0 if two else noise.spread(0) + noise.spread(1) + noise.spread(2)
         swing = max(DEMAND_SLACK, sqrt(rough) / real(n))
-        # A controller asks more of a rotor that gives less, and less of one that gives more: a candidate whose command went the other way
-        # is none. Of two rotors it asks what geometry leaves of that.
+        # A controller commands more of a rotor that gives less, and less of one that gives more; a candidate whose command moved the other
+        # way is rejected. With two rotors the geometry (coupling) reduces the demanded rise.
         largest = 0.0
         lost = 0.0
         commanded = 0.0
@@ -152,7 +152,7 @@ class Plausible(Struct):
         jump = local(REAL, ROTORS)
         for i in range(n):
             mean += seen.thrust[i] / real(n)
-            # Of a rotor that gives one thrust counts what that is more, or less, than its command.
+            # For a stuck rotor the difference between its thrust and its command counts.
             jump[i] = best.size_of(i)
             if jump[i] > 0.0:
                 jump[i] -= best.gives / max(seen.thrust[i], LEAST_THRUST)
@@ -164,23 +164,24 @@ class Plausible(Struct):
             demanded = 0.0
             for j in range(n):
                 demanded += coupling.raises[i][j] * (jump[j] * seen.thrust[j])
-            # A manoeuvre swings commands about their trim: what a rotor was commanded at the onset counts as well.
+            # A manoeuvre swings commands about their trim, so compare with the command at the onset as well.
             if jump[i] > 0.0:
                 asked = asked and seen.part[i] - min(seen.trim[i], one(slots.before[i], lane)) > DEMAND_SHARE * demanded - swing
             if jump[i] < 0.0 and not leader.active[i]:
                 asked = asked and seen.part[i] - max(seen.trim[i], one(slots.before[i], lane)) < DEMAND_SHARE * demanded + swing
-            # ... and not because a rotor at its limit gives no more.
+            # Saturation of the rotor must not explain the loss.
             if jump[i] > 0.0 and not leader.active[i]:
                 fits = fits and jump[i] > missing.limit[i]
         fits = fits and largest > NONE
-        # What the rotors no longer give must be missing from the thrust, as far as its average can show that by now, and air from below
-        # does not give it.
+        # The lost thrust must be missing from the total, as far as the average over ANSWER_S can show it by now and air from below does not
+        # replace it.
         below = 0.0 if two else max(missing.air(p), 0.0)
         slack = max(MISSING_SLACK, 0.0 if two else sqrt(noise.spread(THRUST))) + below
         lost *= 1.0 - exp(-since / ANSWER_S)
         if now.valid[THRUST] and lost > 0.0:
             fits = fits and missing.fast - missing.usual > DEMAND_SHARE * lost - slack
-        # What pushes a vehicle from below for a moment looks as if a rotor gave more: one that does is taken off the command, and stays so.
+        # A short push from below looks like a rotor that gives more thrust; with a rotor really stuck the controller cuts its command and
+        # keeps it cut.
         if best.gives > 0.0:
             fits = fits and since >= 0.5 * ANSWER_S and commanded < CUT_SHARE * mean
         self.asked = asked

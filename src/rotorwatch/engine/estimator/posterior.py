@@ -1,15 +1,16 @@
-"""Explanations of a flight so far, side by side: which rotors are weak, how much, and what the filter would then hold.
+"""Competing explanations of the flight so far, each with its weak rotors, their losses and its own filter.
 
-A jump found in the innovations may be several things: this rotor or its neighbour, two rotors, a disturbance. Each of them becomes a
+A jump found in the innovations has several possible causes: this rotor or its neighbour, two rotors, a disturbance. Each becomes a
 branch: a set of weak rotors with its own filter state s = [x; theta], covariance P and log weight. All branches filter the same
 measurements; a branch's weight grows by the log-likelihood of its innovations nu with variances S (a bank of Kalman filters; D. T.
 Magill, IEEE Trans. Automatic Control 10 (1965) 434-439),
 
     log w_b += g sum_a c_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ],       g = TEMPER exp(-age / BURST_S)
 
-c_a: weight of evidence in weather that the noise model lacks (model_error.py). g: evidence of the age of an explanation tells less and
-less; what decides is how a change looked, and after it the errors of the model. The branch in place 0 leads: it has the jump bank, and
-what that bank finds becomes branches of it, each with its jump in state, covariance and cross-covariance, exactly.
+c_a: weight of evidence, lower in gusts that the noise model lacks (model_error.py). g: evidence loses weight with the age of an
+explanation, as the data at the change distinguish the causes and later data mainly reflect model errors. The branch in place 0 leads: the
+jump bank runs on its innovations, and the bank's findings become branches of it, each with its jump applied exactly to state, covariance
+and cross-covariance.
 """
 
 from __future__ import annotations
@@ -54,36 +55,36 @@ from rotorwatch.engine.events.losses import YOUNG_S
 
 TEMPER = 0.3
 OUT = -7.0  # log weight relative to the leader's at which a branch is dropped, once it is YOUNG_S old
-ALIKE = -CLEAR  # the same, below which a pair that looks like the leading one does not fall
+ALIKE = -CLEAR  # lower bound of that weight for a pair indistinguishable from the leading one
 NEVER = -1e3
-OLD_S = 1e3  # age of what was there before the first tick
+OLD_S = 1e3  # initial age
 
 
 class Branches(Struct):
-    """The explanations, the leader first; weight NEVER where there is none."""
+    """The explanations, the leader first; weight NEVER marks an empty place."""
 
     all = array(Branch, PLACES)
-    age: Real = OLD_S  # s since they were made
-    parent = embedded(Branch)  # of those that are made, and room for one
-    which = array(INT, PLACES)  # what each place will be by the hypotheses that are chosen
-    start = array(REAL, PLACES)  # and its log weight then
+    age: Real = OLD_S  # s since the explanations were made
+    parent = embedded(Branch)  # parent of new explanations; workspace for swaps
+    which = array(INT, PLACES)  # hypothesis chosen for each place
+    start = array(REAL, PLACES)  # and its initial log weight
     best = embedded(Best)
     shift = embedded(Shift)
 
     def begin(self, p: Plant) -> None:
-        """One explanation: nothing has happened."""
+        """Start with a single explanation without weak rotors."""
         self.all[0].begin(p)
         for k in range(1, PLACES):
             self.all[k].weight = NEVER
 
     def alone(self) -> None:
-        """The leader is what has happened: the competition is over."""
+        """Drop all explanations but the leader."""
         self.all[0].weight = 0.0
         for k in range(1, PLACES):
             self.all[k].weight = NEVER
 
     def weigh(self, p: Plant, calm: Reals, counts: Flags, judge: bool) -> None:
-        """One tick's innovations, of weight calm where they count."""
+        """Update the weights by one tick's innovations. calm (4,): weight of evidence; counts (4,): the axis is valid."""
         share = TEMPER * exp(-self.age / BURST_S) if judge else 0.0
         leading = 0.0
         alike = _any_alike(p, self.all[0])
@@ -100,17 +101,17 @@ class Branches(Struct):
             if k == 0:
                 leading = weight
             weight -= leading
-            # How rotors differ in hover is not known well enough to drop one of several pairs that look the same.
+            # Differences between rotors in hover are too uncertain to drop one of several pairs that look the same.
             if alike and _any_alike(p, one):
                 weight = max(weight, ALIKE)
-            # Yaw and thrust tell a pair from the rotor between them, and are slower than what announced it. One whose numbers have
-            # overflowed is none.
+            # Yaw and thrust distinguish a pair from the rotor between them, but respond more slowly than the axes that announced it, so
+            # keep young explanations. Drop one whose numbers have overflowed.
             stays = (weight > OUT or self.age < YOUNG_S) and not isnan(weight) and abs(weight) < -NEVER
             one.weight = weight if stays else NEVER
         self.age += p.dt
 
     def lead(self) -> bool:
-        """The best explanation in place 0; whether that is another one than before."""
+        """Move the best explanation to place 0 if it is clearly better; return whether the leader has changed."""
         best = 0
         for k in range(1, PLACES):
             if self.all[k].weight > self.all[best].weight:
@@ -125,7 +126,7 @@ class Branches(Struct):
         return changed
 
     def shares(self, out: Reals) -> None:
-        """Probability of each explanation among those that are left."""
+        """Probability (PLACES,) of each remaining explanation."""
         total = 0.0
         for k in range(PLACES):
             out[k] = exp(self.all[k].weight)
@@ -134,8 +135,8 @@ class Branches(Struct):
             out[k] /= total
 
     def choose(self, p: Plant, found: Evidence, first: int, alarm: bool, shared: bool) -> None:
-        """What may have happened is to become branches of the one that leads (`born`): the likeliest disturbance and the likeliest faults.
-        Hypothesis `first` leads where it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
+        """Choose the likeliest disturbance and the likeliest faults as new branches of the leader (made by `born`). Hypothesis `first`
+        leads if it is announced (alarm), else the disturbance. shared: it is one of several pairs that look alike."""
         n = p.rotors
         count = hypothesis_count(n)
         faults = count - DISTURBANCE_COUNT
@@ -156,7 +157,7 @@ class Branches(Struct):
             weight[place] = odds[chosen]
             if chosen < faults:
                 left[chosen] = NEVER * 1e3
-            # One more rotor beside the first explains nearly all that the first does: the last fault is one without it.
+            # Faults that add a rotor to `first` explain nearly the same data: reserve the last fault for one without it.
             if place == PLACES - 3:
                 for other in range(faults):
                     if _holds(n, other, first):
@@ -170,12 +171,12 @@ class Branches(Struct):
         for k in range(PLACES):
             turned = k if alarm else PLACES - 1 - k
             chosen = which[turned]
-            # The first place leads; nobody else may be ahead from the start.
+            # The first place leads; limit the initial advantage of the others.
             one = min(weight[turned] - leading, CLEAR)
-            # The odds against disturbances are what an announcement is made by; they are not tested again. Without one, and where no rotor
-            # is weak, nothing but a disturbance may lead.
+            # An announcement has already tested the odds against disturbances; do not test them again. Without one, and without a weak
+            # rotor, only a disturbance may lead.
             barred = chosen == none if alarm else chosen != none and not considered
-            # What adds a rotor to the first has to earn it at once.
+            # A fault that adds a rotor to `first` must be likely enough from the start.
             barred = barred or (chosen < faults and _holds(n, chosen, first) and one <= OUT)
             self.which[k] = chosen
             self.start[k] = NEVER if barred else one
@@ -183,8 +184,8 @@ class Branches(Struct):
             self.age = 0.0
 
     def born(self, p: Plant, bank: Bank, found: Evidence, k: int) -> None:
-        """What is chosen for a place: the parent with the jump of that hypothesis, exactly what an augmented filter with this jump would
-        hold."""
+        """Make the explanation chosen for place k: the parent with the jump of that hypothesis, identical to a filter augmented by this
+        jump."""
         n = p.rotors
         h = int(self.which[k])
         out = self.all[k]
@@ -221,7 +222,7 @@ class Branches(Struct):
 
 
 def lives(one: Branch) -> bool:
-    """Whether there is an explanation in a place."""
+    """Whether a place holds an explanation."""
     return one.weight > 0.5 * NEVER
 
 
@@ -233,7 +234,7 @@ def _any_alike(p: Plant, one: Branch) -> bool:
 
 
 def _holds(n: int, h: int, first: int) -> bool:
-    """Whether hypothesis h has all rotors of `first`."""
+    """Whether hypothesis h includes all rotors of `first`."""
     rotor = rotor_of(n, first)
     other = other_rotor_of(n, first)
     mine = rotor_of(n, h)
@@ -250,7 +251,8 @@ def _most(odds: Reals, count: int) -> int:
 
 
 def _contest(p: Plant, found: Evidence, first: int, shared: bool, odds: Reals) -> None:
-    """Opposite rotors are announced as any other fault; only which pair it is the others of its kind contest."""
+    """Log odds for `choose`. If `first` is a pair of opposite rotors, raise the other such pairs to within CLEAR of it; if shared, exclude
+    all else."""
     alike = contested(p, first)
     for h in range(hypothesis_count(p.rotors)):
         odds[h] = found.odds[h]
@@ -261,7 +263,7 @@ def _contest(p: Plant, found: Evidence, first: int, shared: bool, odds: Reals) -
 
 
 def _add(p: Plant, slots: Slots, lane: int, shift: Shift, out: Branch) -> None:
-    """s + M size, P + M cov M'."""
+    """Apply a jump: s + M size, P + M cov M'."""
     directions = FIRST_LOSS + p.rotors
     states = THETA + p.rotors
     half = local(REAL, DIRECTIONS)
@@ -280,7 +282,7 @@ def _add(p: Plant, slots: Slots, lane: int, shift: Shift, out: Branch) -> None:
 
 
 def _well(p: Plant, i: int, out: Branch) -> None:
-    """A rotor that is well again: what if its loss were known to be none, but for how rotors differ."""
+    """Rotor i has recovered: condition state and covariance on a loss of 0 with standard deviation BUILT_SD."""
     states = THETA + p.rotors
     column = local(REAL, STATES)
     for r in range(states):

@@ -1,6 +1,6 @@
-"""Many samples in one call: of a whole log, or of what has come on a link.
+"""Batch calls for many samples: of a whole log, or received on a link since the last call.
 
-A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not known. Samples of equal times come in the order of kinds.
+A sample is a kind, a time and its numbers: `values` from index `at` on; NaN if unknown. Samples of equal times are in the order of kinds.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rotorwatch.engine.intake.ticks import HOVER_LEARN_S, Made, Ticks
 
 
 class Done(Struct):
-    """How far a call has come: samples that were taken, rows that were made; and the voltage by then, as a share of full."""
+    """Progress of a call: samples processed, rows made, and the last battery voltage as a share of full."""
 
     samples: int = 0
     rows: int = 0
@@ -30,7 +30,7 @@ class Done(Struct):
 
 
 def fly(a: Airborne, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals) -> None:
-    """Outputs, motion and states of n samples."""
+    """Feed n samples of outputs, motion and states to the detection of flights."""
     output = local(REAL, ROTORS)
     known = local(FLAG, ROTORS)
     for i in range(n):
@@ -54,7 +54,7 @@ def fly(a: Airborne, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, valu
 
 
 def wait(a: Airborne, until: Time) -> None:
-    """All samples up to `until` s have come."""
+    """Signal that all samples up to `until` s have arrived."""
     a.walk(until, True)
 
 
@@ -72,7 +72,7 @@ def cut(
     room: int,
     done: Done,
 ) -> None:
-    """Thrusts and motion of the samples from `begin` to n as ticks, into `rows`, as far as there is room."""
+    """Resample thrusts and motion of the samples `begin` to n - 1 into ticks, at most `room` of them, in `rows`."""
     thrust = local(REAL, ROTORS)
     done.rows = 0
     for i in range(begin, n):
@@ -104,7 +104,7 @@ def cut(
 
 
 def rest(s: Sense, v: Vehicle, p: Plan, rows: list[Sensed], room: int) -> int:
-    """The ticks that still wait at the end of a log; how many."""
+    """Write the ticks still pending at the end of a log into `rows`; return their number."""
     count = 0
     while count < room and s.ready(p, LASTS):
         s.measure(v, p, rows[count])
@@ -113,8 +113,8 @@ def rest(s: Sense, v: Vehicle, p: Plan, rows: list[Sensed], room: int) -> int:
 
 
 def assemble(t: Ticks, v: Vehicle, p: Plan, n: int, rows: list[Sensed], lifted: Times, start: Times, made: list[Made]) -> None:
-    """n rows as the estimator gets them. lifted, start (n,): of the flight that each comes after the start of, and of the one that it lies
-    in; LASTS where there is none. The rows of the first second of a flight tell what carries the vehicle."""
+    """Convert n rows to the estimator's inputs. lifted, start (n,): start time of the last flight begun by each row, and of the flight
+    that contains it; LASTS if there is none. The hover thrust is learned from the rows of a flight's first HOVER_LEARN_S."""
     flight: Time = -LASTS
     ahead = 0
     for i in range(n):
@@ -128,7 +128,7 @@ def assemble(t: Ticks, v: Vehicle, p: Plan, n: int, rows: list[Sensed], lifted: 
 
 
 class Mixed(Struct):
-    """Thrusts that one sample of the rate controller stands for; ok: they are valid."""
+    """Rotor thrusts computed from one sample of the rate controller; ok: they are valid."""
 
     time: Time = 0.0
     thrust = array(REAL, ROTORS)
@@ -138,8 +138,8 @@ class Mixed(Struct):
 def mix(
     m: Mixer, v: Vehicle, n: int, kind: Ints, time: Times, at: Ints, values: Reals, found: list[Comparison], made: list[Mixed], done: Done
 ) -> None:
-    """Outputs, rate controller and voltage of n samples: comparisons of the two, of which there are at most as many as outputs, and the
-    thrust of each sample of the rate controller. done: rows of `found`."""
+    """Process n samples of outputs, rate controller and voltage. found: comparisons of outputs with the mixer, at most as many as samples
+    of outputs; made: thrust of each sample of the rate controller. done: their numbers (rows, samples)."""
     numbers = local(REAL, ROTORS)
     done.rows = 0
     done.samples = 0
@@ -166,8 +166,8 @@ def deviate(
     d: Deviations, v: Vehicle, m: int, checks: list[Comparison], checked_aloft: Flags, n: int, time: Times, output: Reals, thrust: Reals,
     valid: Flags, aloft: Flags,
 ) -> None:  # fmt: skip
-    """m comparisons, and n samples of outputs as they were logged with their thrusts (n times rotors), in the order in which they became
-    known; valid (n,): all outputs are known; checked_aloft (m,), aloft (n,): the vehicle flew."""
+    """Process m comparisons and n logged samples of outputs with their thrusts (n times rotors), in the order in which they became known.
+    valid (n,): all outputs are known; checked_aloft (m,), aloft (n,): the vehicle was in flight."""
     u = local(REAL, ROTORS)
     t = local(REAL, ROTORS)
     done = 0
@@ -185,18 +185,18 @@ def deviate(
 
 
 def overrides(d: Deviations, v: Vehicle, found: list[Override]) -> int:
-    """The outputs that have not followed the mixer so far; how many."""
+    """Write the outputs that have not followed the mixer so far into `found`; return their number."""
     return d.found(v, found)
 
 
 def announce(s: Losses, v: Vehicle, n: int, time: Times, when: Times, mode: Ints, restart: Flags, found: list[Found]) -> None:
-    """n ticks and what the estimator made of them."""
+    """Process the estimator's results of n ticks."""
     for i in range(n):
         s.write(v, time[i], when[i], mode[i], restart[i], found[i])
 
 
 def losses(s: Losses, v: Vehicle, flies: bool, out: list[Event]) -> int:
-    """The losses so far; how many."""
+    """Write the losses so far into `out`; return their number."""
     room = Records()
     return s.losses(v, flies, room, out)
 
@@ -216,8 +216,8 @@ def follow(
     size: Reals,
     final: bool,
 ) -> None:
-    """n ticks of dt s. starts, ends (flights,): all flights so far, s, LASTS of one that lasts; hit, push, size (contacts,): new ones;
-    final: no ticks come after these."""
+    """Process n ticks of dt s. starts, ends (flights,): all flights so far, s, end LASTS while one continues; hit, push, size (contacts,):
+    new contacts; final: no ticks follow these."""
     k = 0
     j = 0
     while k < flights and ends[k] <= r.end:
@@ -238,23 +238,23 @@ def follow(
 
 
 def events(r: Report, v: Vehicle, losses: list[Event], n: int, overridden: list[Override], m: int, out: list[Event]) -> int:
-    """All events of n losses and m overrides; how many."""
+    """Write all events from n losses, m overrides and the contacts into `out`; return their number."""
     return r.events(v, losses, n, overridden, m, out)
 
 
 def changes(
     c: Changes, found: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
 ) -> int:
-    """What is new about them; how much."""
+    """Write the changes of the events since the last call into `out`; return their number."""
     return c.look(found, count, final, refined, every, withdrawn, out)
 
 
 def in_words(found: list[Event], withdrawn: bool, what: str, w: Words) -> int:
-    """The first of these events in words; its severity."""
+    """Write the text of the first event into w; return its severity."""
     w.event(found[0], withdrawn, what)
     return severity(found[0], withdrawn)
 
 
 def most_important(found: list[Event], count: int) -> int:
-    """Place of the event that matters most, -1 without one."""
+    """Index of the most important event, -1 if there is none."""
     return main_event(found, count)

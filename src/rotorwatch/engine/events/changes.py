@@ -1,4 +1,4 @@
-"""What is new about a list of events that is made again and again: announced, changed, or withdrawn."""
+"""Changes of the list of events from one evaluation to the next: events announced, changed or withdrawn."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from rotorwatch.engine.intake.sizes import EVENTS, TOGETHER
 
 ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
 
-LOSS_STEP = 0.02  # by which a loss or a bound of it must move to be a change
-GIVES_STEP = 0.1  # hover thrusts by which what a rotor gives that follows no command must move to be a change
+LOSS_STEP = 0.02  # least change of a loss or of its bounds that is reported
+GIVES_STEP = 0.1  # hover thrusts, least change of a stuck rotor's thrust that is reported
 
 
 class Known(Struct):
-    """An event as it was announced last; number: from 1, of the event for as long as it is remembered."""
+    """An event as it was last reported. number: identifies the event, from 1, for as long as it is remembered."""
 
     event = embedded(Event)
     number: int = 0
 
 
 class Change(Struct):
-    """Something new about an event. what: ANNOUNCED, CHANGED, WITHDRAWN; place: of the event in the list or, withdrawn, among those that
-    were withdrawn."""
+    """A change of an event. what: ANNOUNCED, CHANGED, WITHDRAWN; place: index of the event in the list or, if withdrawn, in the list of
+    withdrawn events."""
 
     number: int = 0
     place: Small = 0
@@ -30,7 +30,7 @@ class Change(Struct):
 
 
 class Changes(Struct):
-    """Remembers what has been announced."""
+    """Tracks the reported events."""
 
     known = array(Known, EVENTS)
     numbers: int = 0
@@ -39,13 +39,13 @@ class Changes(Struct):
     def look(
         self, events: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
     ) -> int:
-        """What is new about the events as they are now, into out [2 EVENTS]; how many.
+        """Compare the current events with the reported ones; write the changes into out [2 EVENTS] and return their number.
 
-        final: time in s before which nothing is withdrawn: an event that ended before and is missing was forgotten. refined: events of
-        this kind, as losses, may turn out to be of other rotors. every: each known event is listed, whether much of it has changed or not.
-        withdrawn [EVENTS]: room for events that are withdrawn.
+        final: time in s before which nothing is withdrawn: a missing event that ended earlier was only forgotten. refined: kind of events
+        whose rotors, like those of losses, may be revised. every: list every known event, even without a significant change.
+        withdrawn [EVENTS]: filled with the withdrawn events.
         """
-        known_of = local(INT, EVENTS)  # place among what is known, -1: new
+        known_of = local(INT, EVENTS)  # index of the reported event, -1 if new
         event_of = local(INT, EVENTS)
         found = 0
         left = 0
@@ -107,14 +107,16 @@ def _equal(old: Event, new: Event) -> bool:
 
 
 def _alike(old: Event, new: Event, refined: int) -> bool:
-    """One event of which more is known now: what began together, was announced together, or has the same rotors at the same time."""
+    """Whether both are one event with refined data: the same kind, and the same onset within SAME_S or time of detection; other rotors are
+    accepted for losses and the refined kind only."""
     if old.kind != new.kind or (old.kind != LOSS and old.kind != refined and old.rotors != new.rotors):
         return False
     return abs(old.onset - new.onset) < SAME_S or _same_time(old.detected, new.detected)
 
 
 def _goes_on(old: Event, new: Event) -> bool:
-    """One that lasts, of which there can be no second: what the trim shows begins at another time when it is looked at again."""
+    """Whether both are the same continuing loss or turned mount, of which there can be only one: the onset of one found in the trim moves
+    when it is evaluated again."""
     lasts = old.end >= LASTS and new.end >= LASTS
     return lasts and old.kind == new.kind and old.rotors == new.rotors and (old.kind == LOSS or old.kind == TURNED_MOUNT)
 

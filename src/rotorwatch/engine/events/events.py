@@ -1,8 +1,8 @@
-"""One list of all that happened, out of losses, overrides and contacts.
+"""Merges losses, overrides and contacts into one list of events.
 
-A loss that begins while an output is overridden is the override, or what that does to the others. An override that begins in the fall that
-ends a flight, and a contact within a second of its end, are the fall and the landing. A loss that may be nothing, and is of one set of
-rotors alone, accuses nobody.
+A loss that begins while an output is overridden is attributed to the override or its effect on the other rotors. An override that begins in
+the fall that ends a flight, and a contact within a second of its end, are attributed to the fall and the landing. A loss of a single set of
+rotors whose interval includes 0 is not reported.
 """
 
 from __future__ import annotations
@@ -12,46 +12,46 @@ from rotorwatch.engine.intake.craft import PITCH, ROLL, THRUST, Vehicle
 from rotorwatch.engine.intake.deviations import Override
 from rotorwatch.engine.intake.sizes import ALTERNATIVES, CONTACTS, EVENTS, FALLS, TOGETHER
 
-# What happened, by its number in the table of kinds: a rotor makes less thrust than its command asks for; an output does not follow the
-# mixer, and nothing is wrong with the rotor; something outside the vehicle pushed it; a motor mount or an arm turned.
+# Kinds of events, numbered as in the table of kinds: a rotor gives less thrust than commanded; an output does not follow the mixer although
+# the rotor is healthy; an external force pushed the vehicle; a motor mount or an arm turned.
 LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT = 0, 1, 2, 9
-# The state at this moment: not in the air for long enough yet, or a rotor's commands are not known; healthy so far; something happened, and
-# to which rotor or output; something happened, and several sets of rotors explain it.
+# Current state: not in the air for long enough yet, or a rotor's commands are unknown; healthy so far; a fault of known rotors or outputs;
+# a fault that several sets of rotors explain.
 NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
-# Of a loss: opposite rotors may share it, and then so may the battery; two rotors of one arm lack about one whole rotor; it grew little by
-# little; what looked like its end left the trim as it was.
+# Details of a loss: opposite rotors, or else the battery, may explain it; two rotors of one arm together lack about one rotor; it grew
+# gradually; its apparent end left the trim unchanged.
 PLAIN, SHARED, ONE_ARM, GREW, STAYS = 0, 1, 2, 3, 4
 
-TOUCH_DOWN_S = 1.0  # a contact so near the end of a flight is the landing, or the crash
-EXPLAINED_S = 1.0  # so near an override a loss is the override
-TOGETHER_S = 1.0  # losses that begin so close began together
-LARGE = 0.5  # share of the largest loss from which one is large
-SAME_ARM = 0.05  # of the largest lever, by which two rotors of one arm may be apart
+TOUCH_DOWN_S = 1.0  # a contact this close to the end of a flight is the landing or the crash
+EXPLAINED_S = 1.0  # a loss this close to an override is attributed to it
+TOGETHER_S = 1.0  # losses with onsets this close began together
+LARGE = 0.5  # share of the largest loss from which a loss counts as large
+SAME_ARM = 0.05  # largest distance between two rotors of one arm, as a share of the largest lever arm
 
 
 class Event(Struct):
-    """One event. loss, lower, upper are of the rotors of the set, in their order."""
+    """An event. loss, lower and upper hold the rotors of the set in ascending order."""
 
     onset: Time = 0.0  # s, when it began
-    detected: Time = 0.0  # s, when that was known
+    detected: Time = 0.0  # s, when it was detected
     end: Time = LASTS  # s, LASTS while it lasts
     loss = array(REAL, TOGETHER)  # of effectiveness, 0 to 1
     lower = array(REAL, TOGETHER)  # 95 % interval
     upper = array(REAL, TOGETHER)
     probability: Real = 0.0  # of this set of rotors
-    # Of a contact: g, or hover thrusts of one rotor where it turned the vehicle. Of a loss: hover thrusts that the rotor gives whatever it
-    # is commanded, 0 where it follows its command. Of a mount: hover thrusts of one rotor that it yaws, to the right above 0.
+    # Contact: g, or hover thrusts of one rotor if it turned the vehicle. Loss: hover thrusts that a stuck rotor gives whatever it is
+    # commanded, 0 if it follows its command. Mount: yaw torque in hover thrusts of one rotor, positive to the right.
     size: Real = 0.0
-    rotors: Mask = 0  # bit k: rotor k, from 0; of a contact and a mount 0
+    rotors: Mask = 0  # bit k: rotor k, from 0; 0 for a contact or a mount
     alternatives = array(MASK, ALTERNATIVES)  # sets that would look the same, the likeliest first
     alternative_count: Small = 0
     kind: Small = LOSS  # LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT
-    detail: Small = PLAIN  # of a loss PLAIN, SHARED and so on; of an override STUCK, OFF, OVERRIDDEN; of a contact TURNED and so on
-    source: Small = 0  # place among the losses or overrides that it came from
+    detail: Small = PLAIN  # loss: PLAIN, SHARED and so on; override: STUCK, OFF, OVERRIDDEN; contact: TURNED and so on
+    source: Small = 0  # index of the loss or override that it came from
 
     def accuses(self) -> bool:
-        """Whether it says that a rotor or its output is not well: no contact, no mount, and no loss that may be nothing and is said of one
-        set of rotors alone."""
+        """Whether the event indicates a fault of a rotor or its output: not a contact, a mount, or a loss of a single set of rotors whose
+        intervals all include 0."""
         if self.kind == LOSS and self.alternative_count == 0:
             for i in range(TOGETHER):
                 if self.lower[i] > 0.0:
@@ -60,27 +60,27 @@ class Event(Struct):
         return self.is_fault()
 
     def is_fault(self) -> bool:
-        """Whether it is of a kind that says that a rotor or its output is not well."""
+        """Whether its kind indicates a fault of a rotor or its output."""
         return self.kind != CONTACT and self.kind != TURNED_MOUNT
 
     def may_be(self, rotors: int) -> bool:
-        """Whether it is of this set of rotors, or may be."""
+        """Whether this set of rotors is the event's own or one of its alternatives."""
         for i in range(self.alternative_count):
             if self.alternatives[i] == rotors:
                 return True
         return self.rotors == rotors
 
     def largest(self) -> Real:
-        """The largest loss of its rotors."""
+        """Largest loss of its rotors."""
         most: Real = 0.0
         for i in range(TOGETHER):
             most = max(most, self.loss[i])
         return most
 
     def share_arm(self, v: Vehicle) -> None:
-        """Where its two rotors stand on one coaxial arm and together lack about one rotor, each of them alone is named as well. In all but
-        yaw one rotor that is lost looks like parts of both, and what is left of the arm then gives another thrust and yaw than geometry
-        says, because the air between the two has changed."""
+        """If its two rotors are on one coaxial arm and together lack about one rotor, name each of them alone as an alternative. In all
+        axes but yaw the total loss of one rotor looks like partial losses of both, and the remaining rotor gives a thrust and yaw that
+        differ from geometry because the flow between the two has changed."""
         if not v.coaxial or self.alternative_count > 0 or self.kind != LOSS:
             return
         low: Real = 0.0
@@ -111,7 +111,7 @@ class Event(Struct):
 
 
 class Knock(Struct):
-    """A contact."""
+    """A contact: time in s, size in the unit of Event.size."""
 
     time: Time = 0.0
     size: Real = 0.0
@@ -119,20 +119,21 @@ class Knock(Struct):
 
 
 class Report(Struct):
-    """Falls and contacts of one vehicle, and all events together."""
+    """Tracks falls and contacts of one vehicle and merges all events."""
 
     fall_start = array(TIME, FALLS)
     fall_end = array(TIME, FALLS)
     knocks = array(Knock, CONTACTS)
-    start: Time = LASTS  # of the flight that goes on, LASTS on the ground
-    falling: Time = LASTS  # since when it tumbles, LASTS where it does not
-    end: Time = -LASTS  # of the last flight, -LASTS before
+    start: Time = LASTS  # of the current flight, LASTS on the ground
+    falling: Time = LASTS  # since when the vehicle has been upset, LASTS if it is not
+    end: Time = -LASTS  # of the last flight, -LASTS before any
     now: Time = -LASTS  # time of the last tick
     falls: Small = 0
     count: Small = 0  # of knocks
 
     def tick(self, time: Time, start: Time, upset: bool) -> None:
-        """The next tick. start: of the flight that it belongs to, up to one tick after its end; LASTS on the ground."""
+        """Process the next tick. start: start of its flight, up to one tick after the flight's end; LASTS on the ground. upset: the vehicle
+        tumbles, or has tumbled in this flight."""
         self.now = time
         if start >= LASTS:
             return
@@ -145,7 +146,7 @@ class Report(Struct):
             self.falling = time
 
     def landed(self, end: Time) -> None:
-        """The flight ended at `end` s."""
+        """End the flight at `end` s: store its fall, and drop contacts that are the landing."""
         if self.falling < LASTS:
             if self.falls == FALLS:
                 for i in range(FALLS - 1):
@@ -166,7 +167,8 @@ class Report(Struct):
         self.end = end
 
     def contact(self, time: Time, push: int, size: Real) -> None:
-        """Something pushed the vehicle at `time` s (TURNED and so on), so much; the same time again: it was more."""
+        """Add a contact at `time` s of kind `push` (TURNED and so on) and size; a repeated time replaces the last one with its larger
+        size."""
         if abs(time - self.end) < TOUCH_DOWN_S:
             return
         at = int(self.count)
@@ -184,7 +186,7 @@ class Report(Struct):
     def events(
         self, v: Vehicle, losses: list[Event], loss_count: int, overrides: list[Override], override_count: int, out: list[Event]
     ) -> int:
-        """All events into out [EVENTS], in the order in which they were detected; how many."""
+        """Write all events into out [EVENTS], in the order of detection; return their number."""
         count = 0
         one = Event()
         for i in range(loss_count):
@@ -224,7 +226,7 @@ class Report(Struct):
         return count
 
     def _falls(self, onset: Time) -> bool:
-        """Whether something that begins then begins in a fall."""
+        """Whether an onset lies within a fall."""
         for i in range(self.falls):
             if self.fall_start[i] < onset <= self.fall_end[i]:
                 return True
@@ -232,12 +234,12 @@ class Report(Struct):
 
 
 def explains(start: Time, end: Time, onset: Time) -> bool:
-    """Whether a loss that began at `onset` s began while an output was overridden, from start to end."""
+    """Whether a loss that began at `onset` s is explained by an override from `start` to `end` s."""
     return start - EXPLAINED_S <= onset <= end + EXPLAINED_S
 
 
 def put(out: list[Event], count: int, room: int, one: Event) -> int:
-    """One event more, sorted by when it was detected; of more than there is room for the first goes. How many there are."""
+    """Insert an event, sorted by time of detection; if there is no room, drop the first. Return the number of events."""
     n = count
     if n == room:
         if one.detected < out[0].detected:
@@ -254,7 +256,7 @@ def put(out: list[Event], count: int, room: int, one: Event) -> int:
 
 
 def verdict(events: list[Event], count: int, judged: bool) -> int:
-    """The state by the events alone; judged: at least one tick has been judged."""
+    """State of the vehicle (NOT_JUDGED to AMBIGUOUS) from its events; judged: at least one tick has been assessed."""
     unsure = False
     for i in range(count):
         if events[i].is_fault() and events[i].alternative_count == 0:
@@ -266,8 +268,8 @@ def verdict(events: list[Event], count: int, judged: bool) -> int:
 
 
 def main_event(events: list[Event], count: int) -> int:
-    """Place of the event that matters, -1 without one: sure ones before ambiguous ones; the first that is large, or an override that came
-    before it (one that comes after is what a falling vehicle's controller does); of losses that began together the largest."""
+    """Index of the most important event, -1 if there is none. Unambiguous events precede ambiguous ones; then the first large loss, or an
+    override before it (a later one is caused by the controller of a falling vehicle); the largest of losses that began together."""
     sure = False
     most: Real = 0.0
     size: Real = -1.0
@@ -295,5 +297,5 @@ def main_event(events: list[Event], count: int) -> int:
 
 
 def _counts(e: Event, kind: int, sure: bool) -> bool:
-    """Whether it is of this kind and, where there are sure ones, sure."""
+    """Whether the event has this kind and, if `sure` is set, no alternatives."""
     return e.kind == kind and not (sure and e.alternative_count > 0)

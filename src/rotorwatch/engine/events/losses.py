@@ -1,8 +1,8 @@
-"""Losses of effectiveness from the estimator's ticks: what was announced, when it began, what became of it and how sure that is.
+"""Losses of effectiveness from the estimator's ticks: rotors, onset, end, size and uncertainty of each announced loss.
 
-What happened, and which explanations are left, is the estimator's; this only writes it down. Nothing is looked up in the flight behind: of
-the ticks only those that the estimator reaches back to are kept, and of the estimates of a weak rotor at most ESTIMATES. A loss may change
-until its flight is over: the explanation that leads may be overtaken (by other rotors, or by none: then it is no longer in the list).
+The estimator decides on faults and their explanations; this module only records them. It needs no history of the flight: it keeps the ticks
+within the estimator's reach, and at most ESTIMATES estimates of a weak rotor. A loss may change until its flight is over, because another
+explanation may take the lead: one of other rotors, or one without a fault, which removes the loss from the list.
 
 Rotors count from 0; a set of rotors has bit k for rotor k.
 """
@@ -36,43 +36,43 @@ from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, TOGETHER
 from rotorwatch.engine.intake.ticks import JUDGE
 
-# By what share the thrust curve may be steeper or flatter in hover than the log says: an expo of 0.65 that is 0.12 off.
+# Share by which the slope of the thrust curve in hover may differ from the logged one: an error of 0.12 in an expo of 0.65.
 CURVE_SHARE = 0.08
-COAXIAL_SHARE = 0.1  # with how the thrust of a coaxial arm divides: half of what the lower rotors' share may be off by
-PAIR_WEIGHT = 1e-4  # of a pair over a rotor, before anything is seen
-YOUNG_S = 1.0  # after an announcement: by then a pair that was taken for one rotor is told from it
-WITHIN_95 = 1.96
-CANCELS = 0.05  # of the largest lever
+COAXIAL_SHARE = 0.1  # the same with the division of thrust in a coaxial arm: half of the error of the lower rotors' share
+PAIR_WEIGHT = 1e-4  # prior weight of a pair relative to a single rotor
+YOUNG_S = 1.0  # time after an announcement within which a pair mistaken for one rotor becomes distinguishable from it
+WITHIN_95 = 1.96  # standard deviations of a 95 % interval
+CANCELS = 0.05  # share of the largest lever arm below which the sum of two torques counts as 0
 
 
 class Losses(Struct):
-    """Losses of one vehicle, tick by tick."""
+    """Tracks the losses of one vehicle tick by tick."""
 
-    records = embedded(Records)  # final ones: all before the last announcement
+    records = embedded(Records)  # final records: all before the last announcement
     latest = embedded(ExplanationState)  # after the last tick
-    judged = embedded(ExplanationState)  # after the last that was judged
-    courses = array(Course, ROTORS)
-    before_courses = array(Course, ROTORS)  # before the last announcement
-    onsets = array(Onset, PLACES)  # of the last announcement
-    time = array(TIME, REACH)  # ring by tick
-    age = array(REAL, REACH)  # s, by which commands are older than their tick
+    judged = embedded(ExplanationState)  # after the last assessed tick
+    courses = array(Course, ROTORS)  # estimates of each weak rotor
+    before_courses = array(Course, ROTORS)  # the same before the last announcement
+    onsets = array(Onset, PLACES)  # of the explanations of the last announcement
+    time = array(TIME, REACH)  # s, ring buffer by tick
+    age = array(REAL, REACH)  # s by which commands are older than their tick, ring buffer
     first_onset: Time = 0.0
     judged_time: Time = 0.0
-    theta = array(REAL, ROTORS)  # at the last judged tick
-    sd = array(REAL, ROTORS)
-    tick: int = -1  # number of the last tick, -1 before
-    first: int = 0  # of this flight
+    theta = array(REAL, ROTORS)  # losses at the last assessed tick
+    sd = array(REAL, ROTORS)  # their standard deviations
+    tick: int = -1  # number of the last tick, -1 before any
+    first: int = 0  # number of the first tick of this flight
     before: Mask = 0  # weak rotors before the last announcement
     hiding: Mask = 0  # as in Record, of the last announcement
     hider: Small = 0
     hidden = array(FLAG, PAIRS)
-    announced: bool = False  # something has been in this flight
-    flown: bool = False  # a tick of this flight was judged
-    announcements: int = 0  # so far
+    announced: bool = False  # there was an announcement in this flight
+    flown: bool = False  # a tick of this flight was assessed
+    announcements: int = 0  # number so far
 
     def write(self, v: Vehicle, time: Time, when: Time, mode: int, restart: bool, found: Found) -> None:
-        """One more tick, in their order, on the ground as well. time, when: of the tick and, in the mean, of its commands, s; restart: the
-        first one of a flight."""
+        """Add the next tick; call it for every tick in order, on the ground as well. time: of the tick, s; when: mean time of its commands,
+        s; restart: first tick of a flight."""
         if restart and self.tick >= 0:
             self._landed(v)
         self.tick += 1
@@ -105,7 +105,7 @@ class Losses(Struct):
                 self.latest.gives = max(self.latest.gives, found.gives[k])
             if found.announced or self.latest.active[0] != led:
                 self.latest.found = time
-                for k in range(v.rotors):  # what is estimated of rotors that no final record holds begins here
+                for k in range(v.rotors):  # restart the estimates of rotors without a final record
                     if (self.before & (1 << k)) == 0:
                         reset(self.courses[k])
         if mode != JUDGE:
@@ -120,8 +120,8 @@ class Losses(Struct):
                 self.courses[k].add(self.tick, self.theta[k], self.sd[k])
 
     def losses(self, v: Vehicle, flies: bool, records: Records, out: list[Event]) -> int:
-        """The losses so far, in the order in which they were noticed, into out [RECORDS]; how many. flies: the flight goes on, and what was
-        announced a moment ago may still turn out to be a pair. records: room to work in."""
+        """Write the losses so far, in the order of detection, into out [RECORDS]; return their number. flies: the flight continues, so a
+        recent announcement may still turn out to be a pair. records: workspace."""
         reset(records)
         order = local(INT, RECORDS)
         records.count = self.records.count
@@ -148,7 +148,7 @@ class Losses(Struct):
     # Times
 
     def _earliest(self) -> int:
-        """The earliest tick of this flight that is kept."""
+        """Earliest stored tick of this flight."""
         return max(self.tick - REACH + 1, self.first)
 
     def _command_time(self, tick: int) -> Time:
@@ -157,13 +157,13 @@ class Losses(Struct):
         return self.time[tick % REACH] - float(self.age[tick % REACH])
 
     def _jumped(self, since: Real) -> int:
-        """The tick of a jump `since` ticks ago, not before this flight."""
+        """Tick of a jump `since` ticks ago, not before this flight."""
         if since >= 0.0 and since < 1e9:
             return max(self.tick - int(since + 0.5), self.first)
         return self.first
 
     def _nearest(self, tick: int) -> int:
-        """Place of the onset of the last announcement that is nearest to a tick."""
+        """Index of the onset in the last announcement nearest to a tick."""
         best = 0
         for p in range(1, PLACES):
             if abs(self.onsets[p].tick - tick) < abs(self.onsets[best].tick - tick):
@@ -171,13 +171,12 @@ class Losses(Struct):
         return best
 
     def _begin(self, found: Found, now: Time) -> None:
-        """When each of the explanations of this tick may have begun. What began before the ticks that are kept was there at the last
-        announcement."""
+        """Set the onset of each explanation of this tick. One that began before the stored ticks is taken from the last announcement."""
         made = local(Onset, PLACES)
         reach = self._earliest()
         for p in range(PLACES):
             tick = self._jumped(found.onsets[p])
-            if tick == self.first and tick < reach:  # nothing has jumped in this flight
+            if tick == self.first and tick < reach:  # no jump in this flight
                 made[p].time = self.first_onset
                 made[p].tick = tick
                 made[p].before = tick - 1
@@ -196,10 +195,10 @@ class Losses(Struct):
         for p in range(PLACES):
             copy(self.onsets[p], made[p])
 
-    # What an announcement has become
+    # Conclusion of an announcement
 
     def _conclude(self, v: Vehicle, to: Records, at: ExplanationState) -> None:
-        """Write down what the last announcement stands for by the explanations `at`."""
+        """Record the losses and recoveries of the last announcement, given the explanations `at`."""
         if not self.announced:
             return
         now = int(at.active[0])
@@ -210,7 +209,7 @@ class Losses(Struct):
             if (recovered & (1 << k)) != 0 and to.of[k] >= 0:
                 place = int(to.of[k])
                 ended = to.all[place].rotors & recovered
-                if ended != to.all[place].rotors:  # the others are weak still: a record of its own for those that work again
+                if ended != to.all[place].rotors:  # the others are still weak: separate record for the recovered rotors
                     whole = Record()
                     copy(whole, to.all[place])
                     to.all[place].only(whole.rotors & ~ended)
@@ -241,7 +240,7 @@ class Losses(Struct):
                 to.of[k] = place
 
     def _landed(self, v: Vehicle) -> None:
-        """The flight is over: what lasted until the landing ended there."""
+        """End the flight: losses that lasted until the landing end at the last assessed tick."""
         if self.flown:
             self._conclude(v, self.records, self.judged)
             for k in range(v.rotors):
@@ -255,14 +254,14 @@ class Losses(Struct):
         self.flown = False
         self.before = 0
 
-    # What is written down when something is announced
+    # Data recorded at an announcement
 
     def _hide(self, v: Vehicle, found: Found) -> None:
-        """Pairs that only their rarity, not the data, rules out against the likeliest rotor. Losses on opposite rotors cancel in roll and
-        pitch; gusts hide the rest in yaw and thrust. When the data favour such a pair by more than CLEAR once prior weights are taken out,
-        a small loss of one rotor must not be claimed. Of a loss that has just been announced the same holds for any pair; and one without
-        the rotor is named unless the data are against it by CLEAR: equal losses of two rotors look like one of the rotor between them
-        until their yaw and thrust show."""
+        """Find pairs that only their low prior, not the data, rules out against the likeliest rotor. Losses of opposite rotors cancel in
+        roll and pitch, and gusts mask the rest in yaw and thrust. When the data favour such a pair by more than CLEAR without the prior
+        weights, a small loss of one rotor must not be claimed alone. For a loss that has just been announced the same holds for any pair;
+        and a pair without the likeliest rotor is named unless the data contradict it by CLEAR, because equal losses of two rotors look like
+        one of the rotor between them until their yaw and thrust are visible."""
         n = v.rotors
         best = -1.0
         likeliest = 0
@@ -289,7 +288,7 @@ class Losses(Struct):
                     self.hiding |= 1 << i
                 pair += 1
 
-    # What it comes to
+    # Conversion of records to events
 
     def _event(self, v: Vehicle, r: Record, flies: bool, e: Event) -> None:
         n = v.rotors
@@ -332,7 +331,7 @@ class Losses(Struct):
                 hides = r.hidden[pair] if young else _hides(r, i, j)
                 hidden = hidden or (hides and ((1 << i) | (1 << j)) != r.rotors)
                 pair += 1
-        # Only manoeuvres distinguish a pair of opposite rotors from the others: it has to be clear twice.
+        # Only manoeuvres distinguish a pair of opposite rotors from the other such pairs: require CLEAR squared.
         odds = CLEAR * CLEAR if paired else CLEAR
         if not hidden and e.probability >= odds / (1.0 + odds):
             return
@@ -346,15 +345,15 @@ class Losses(Struct):
         for i in range(r.count):
             if r.share[i] >= CREDIBLE:
                 _name(e, r.sets[i])
-        for i in range(n):  # all that only a manoeuvre could distinguish
+        for i in range(n):  # all pairs that only a manoeuvre could distinguish
             for j in range(i + 1, n):
                 if paired and (opposite_of(v, i) & (1 << j)) != 0:
                     _name(e, (1 << i) | (1 << j))
 
 
 def _momentary(r: Record, e: Event, records: Records) -> bool:
-    """Whether a loss was over while it was young, cannot have been of all thrust, and is the only one of its rotors: what a gust, a
-    manoeuvre or a wrong sample does, and no rotor. Motors that cut out do so altogether, or again and again."""
+    """Whether a loss ended within YOUNG_S, was certainly not total, and is the only one of its rotors. Gusts, manoeuvres and wrong samples
+    cause such losses, rotors do not: motors that cut out do so completely or repeatedly."""
     if not r.recovered or r.end - r.onset >= YOUNG_S:
         return False
     for k in range(TOGETHER):
@@ -368,7 +367,7 @@ def _momentary(r: Record, e: Event, records: Records) -> bool:
 
 
 def count_of(rotors: int) -> int:
-    """How many rotors are in a set."""
+    """Number of rotors in a set."""
     count = 0
     for k in range(ROTORS):
         if (rotors & (1 << k)) != 0:
@@ -377,12 +376,12 @@ def count_of(rotors: int) -> int:
 
 
 def pairs(v: Vehicle) -> int:
-    """How many pairs of rotors there are."""
+    """Number of pairs of rotors."""
     return v.rotors * (v.rotors - 1) // 2
 
 
 def opposite_of(v: Vehicle, i: int) -> int:
-    """The rotors that cancel the roll and pitch torque of rotor i: with those it can share a loss almost unseen."""
+    """Set of rotors that cancel the roll and pitch torque of rotor i: a loss shared with one of them is almost unobservable."""
     found = 0
     for j in range(v.rotors):
         roll = abs(v.effectiveness[ROLL][i] + v.effectiveness[ROLL][j]) < CANCELS
@@ -393,9 +392,9 @@ def opposite_of(v: Vehicle, i: int) -> int:
 
 
 def sd_of(v: Vehicle, loss: Real, sd: Real) -> Real:
-    """Standard deviation of a loss with what the model of the vehicle is uncertain of. A rotor that makes up for theta is commanded
-    T = 1 / (1 - theta), and gives T (1 + k (T - 1)) where the curve's slope is off by a share k: the loss then is
-    k theta (1 - theta) / (1 - theta + k theta) larger."""
+    """Standard deviation of a loss including the uncertainty of the vehicle model. A rotor that compensates for theta is commanded
+    T = 1 / (1 - theta), and gives T (1 + k (T - 1)) if the curve's slope is wrong by a share k; the loss is then larger by
+    k theta (1 - theta) / (1 - theta + k theta)."""
     share = COAXIAL_SHARE if v.coaxial else CURVE_SHARE
     left = min(max(1.0 - loss, 1e-9), 1.0)
     curve = share * loss * left / (left + share * loss)
@@ -403,13 +402,14 @@ def sd_of(v: Vehicle, loss: Real, sd: Real) -> Real:
 
 
 def spread(v: Vehicle, n: int, loss: Reals, sd: Reals, out: Reals) -> None:
-    """`sd_of` n losses."""
+    """Apply `sd_of` to n losses."""
     for i in range(n):
         out[i] = sd_of(v, loss[i], sd[i])
 
 
 def _usual(v: Vehicle, r: Record, courses: list[Course], last: int) -> None:
-    """What a loss that is over was for most of its time: where the first of its rotors was at its median up to the tick `last`."""
+    """Set the size of a loss that is over: the estimates at the tick where the first of its rotors was at its median, up to the tick
+    `last`."""
     first = 0
     while first < v.rotors - 1 and (r.rotors & (1 << first)) == 0:
         first += 1
@@ -425,12 +425,12 @@ def _usual(v: Vehicle, r: Record, courses: list[Course], last: int) -> None:
 
 
 def _weigh(r: Record, at: ExplanationState, before: int) -> None:
-    """The sets of rotors that may have failed, beside those that were weak before, and their probabilities."""
+    """Set the sets of rotors that may have failed, without those that were weak before, and their probabilities."""
     total: Real = 0.0
     r.count = 0
     for p in range(PLACES):
         other = at.active[p] & ~before
-        if other != 0:  # that nothing broke is weighed before anything is announced
+        if other != 0:  # the probability of no fault was tested before the announcement
             place = 0
             while place < r.count and r.sets[place] != other:
                 place += 1
@@ -446,12 +446,12 @@ def _weigh(r: Record, at: ExplanationState, before: int) -> None:
 
 
 def _hides(r: Record, i: int, j: int) -> bool:
-    """Whether these two are rotor `hider` and one that hides behind it."""
+    """Whether rotors i and j are `hider` and one of the rotors in `hiding`."""
     return (i == r.hider and (r.hiding & (1 << j)) != 0) or (j == r.hider and (r.hiding & (1 << i)) != 0)
 
 
 def _name(e: Event, rotors: int) -> None:
-    """Name a set beside the event's own, if it is not named yet."""
+    """Add a set to the event's alternatives, unless it is its own set or already named."""
     if rotors == e.rotors or e.alternative_count >= ALTERNATIVES:
         return
     for i in range(e.alternative_count):

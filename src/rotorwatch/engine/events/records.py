@@ -1,4 +1,4 @@
-"""What losses are written down in: what the estimator found in a tick, one loss, all of them, and how estimates went."""
+"""Data types of losses: the estimator's result of a tick, the record of a loss, all records, and the estimates over time."""
 
 from __future__ import annotations
 
@@ -21,43 +21,43 @@ from rotorwatch.base.compiling.structs import (
 )
 from rotorwatch.engine.intake.sizes import HYPOTHESES, PAIRS, PLACES, RECORDS, ROTORS, TOGETHER
 
-ESTIMATES = 16  # evenly spaced, that say what a loss was that is over
+ESTIMATES = 16  # number of evenly spaced estimates from which the size of a loss that is over is computed
 
 
 class Found(Struct):
-    """What the estimator made of a tick. H hypotheses: rotors, pairs 0+1, 0+2 ..., recoveries, rotors that
-    follow no command, disturbances."""
+    """The estimator's result of a tick. H hypotheses: rotors, pairs 0+1, 0+2 ..., recoveries, rotors that ignore their command,
+    disturbances."""
 
     theta = array(REAL, ROTORS)  # loss, 0 healthy to 1 dead
     theta_sd = array(REAL, ROTORS)  # its standard deviation
     active = array(FLAG, PLACES, ROTORS)  # weak rotors of every explanation, the leader first
     share = array(REAL, PLACES)  # probability of every explanation
-    gives = array(REAL, ROTORS)  # hover thrusts of the leader's rotors that follow no command, 0 of others
-    onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each
-    probability = array(REAL, HYPOTHESES)  # read where something is announced
+    gives = array(REAL, ROTORS)  # hover thrusts of the leader's stuck rotors, 0 for others
+    onsets = array(REAL, PLACES)  # ticks since the last jump of a rotor in each explanation
+    probability = array(REAL, HYPOTHESES)  # used at announcements only
     announced: bool = False  # explanations were made at this tick
 
 
 class Record(Struct):
-    """One loss of rotors that failed together and, as far as they did, ended together."""
+    """A loss of rotors that failed together and, if they recovered, recovered together. Times in s."""
 
     onset: Time = 0.0
     detected: Time = 0.0
     end: Time = LASTS  # LASTS while it lasts
-    loss = array(REAL, TOGETHER)  # of one that is over
-    sd = array(REAL, TOGETHER)  # of one that is over
+    loss = array(REAL, TOGETHER)  # set once the loss is over
+    sd = array(REAL, TOGETHER)  # set once the loss is over
     share = array(REAL, PLACES)  # probability of each of `sets`
-    sets = array(MASK, PLACES)  # that may have failed, the record's own among them
+    sets = array(MASK, PLACES)  # sets of rotors that may have failed, including the record's own
     count: Small = 0  # of `sets`
     rotors: Mask = 0
-    hiding: Mask = 0  # each of these may have failed together with rotor `hider`: the data do not show which
+    hiding: Mask = 0  # rotors of which one may have failed together with `hider`; the data do not show which
     hider: Small = 0
-    gives: Real = 0.0  # hover thrusts that its rotor gives whatever it is commanded, 0 where it follows
-    hidden = array(FLAG, PAIRS)  # pairs that the data alone prefer to rotor `hider`
+    gives: Real = 0.0  # hover thrusts that its rotor gives whatever it is commanded, 0 if it follows
+    hidden = array(FLAG, PAIRS)  # pairs that the data alone, without priors, do not rule out against rotor `hider`
     recovered: bool = False  # it ended in the air: its rotors work again
 
     def only(self, rotors: int) -> None:
-        """It is of these rotors, and of no others."""
+        """Restrict the record to these rotors, without alternatives."""
         self.rotors = rotors
         self.sets[0] = rotors
         self.share[0] = 1.0
@@ -68,15 +68,15 @@ class Record(Struct):
 
 
 class Records(Struct):
-    """All losses, in the order in which they were written down."""
+    """Records of all losses, in the order in which they were added."""
 
     all = array(Record, RECORDS)
-    of = array(SMALL, ROTORS, fill=-1)  # record of each weak rotor, -1 without
+    of = array(SMALL, ROTORS, fill=-1)  # index of each weak rotor's record, -1 if none
     count: Small = 0
-    forgotten: int = 0  # records that found no room
+    forgotten: int = 0  # number of records removed for lack of room
 
     def add(self) -> int:
-        """Room for one more: where there is none, that of the loss that ended first, else the oldest."""
+        """Add an empty record and return its index. If there is no room, remove the loss that ended first, else the oldest."""
         if self.count >= RECORDS:
             least = -1
             for i in range(self.count):
@@ -89,7 +89,7 @@ class Records(Struct):
         return self.count - 1
 
     def remove(self, removed: int) -> None:
-        """Forget one."""
+        """Remove the record at index `removed`."""
         for i in range(removed, self.count - 1):
             copy(self.all[i], self.all[i + 1])
         self.count -= 1
@@ -98,27 +98,27 @@ class Records(Struct):
 
 
 class ExplanationState(Struct):
-    """Explanations as they were after a tick; active[0] is the leader's set of rotors."""
+    """Explanations after a tick; active[0] is the leader's set of rotors."""
 
-    found: Time = 0.0  # s, since when this set leads
+    found: Time = 0.0  # s, since when this set has led
     share = array(REAL, PLACES)
     onset: int = 0  # tick of the leader's last jump
-    gives: Real = 0.0  # as in Record, of the leader's rotors the most
+    gives: Real = 0.0  # as in Record, largest of the leader's rotors
     active = array(MASK, PLACES)
 
 
 class Course(Struct):
-    """Estimates of one rotor, evenly spaced."""
+    """Evenly spaced estimates of one rotor's loss."""
 
     tick = array(INT, ESTIMATES)
     theta = array(REAL, ESTIMATES)
     sd = array(REAL, ESTIMATES)
-    seen: int = 0  # judged ticks so far
-    step: int = 1  # from one that is kept to the next
+    seen: int = 0  # assessed ticks so far
+    step: int = 1  # ticks between stored estimates
     count: Small = 0
 
     def add(self, tick: int, theta: Real, sd: Real) -> None:
-        """One more judged tick."""
+        """Add an assessed tick; when full, keep every other estimate and double the spacing."""
         if self.seen % self.step == 0:
             if self.count == ESTIMATES:
                 for i in range(ESTIMATES // 2):
@@ -134,7 +134,7 @@ class Course(Struct):
         self.seen += 1
 
     def middle(self, last: int) -> int:
-        """Place of the median estimate (of two, the smaller) up to the tick `last`; -1 without any."""
+        """Index of the median estimate (the lower one of an even number) up to the tick `last`; -1 if there is none."""
         ordered = local(REAL, ESTIMATES)
         count = 0
         for i in range(self.count):
@@ -152,7 +152,7 @@ class Course(Struct):
 
 
 class Onset(Struct):
-    """When an explanation may have begun."""
+    """Onset of an explanation."""
 
     time: Time = 0.0  # s, mean time of the commands of that tick
     tick: int = 0

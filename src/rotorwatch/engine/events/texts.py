@@ -1,9 +1,9 @@
-"""What the pilot is told of the events, and when: few texts, each of which says something new.
+"""Selects the texts for the pilot and their timing: few texts, each with new information.
 
-An event is told once, again when it has become another one, and once more when it is over or taken back. Between two texts pass
-EVERY_S; what changes in the meantime is told as it is then, and the gravest comes first. What is over, or taken back, before it was told
-is not told. Of a rotor that comes and goes, and of a loss that changes, is told after a longer and longer time, unless it has become
-graver.
+An event is reported once, again when it has changed significantly, and once more when it is over or withdrawn. Texts are at least EVERY_S
+apart; an event that changes in the meantime is reported in its latest state, and the most severe event is reported first. Events that are
+over or withdrawn before they were reported are skipped. Repeated reports of an intermittent rotor or a changing loss come at increasing
+intervals, unless it has become more severe.
 """
 
 from __future__ import annotations
@@ -14,40 +14,40 @@ from rotorwatch.engine.events.events import CONTACT, LOSS, Event
 from rotorwatch.engine.events.words import INFO, severity
 from rotorwatch.engine.intake.sizes import EVENTS, ROTORS, TOGETHER
 
-EVERY_S = 5.0  # between two texts
-MOVED = 0.05  # of effectiveness, by which a loss must have changed at least to be told again
-GIVES = 0.2  # share by which what a rotor gives that follows no command must have changed to be told again
-AGAIN_S = 10.0  # between what was told of a rotor and what is new of it; twice as long each time, up to
+EVERY_S = 5.0  # least time between two texts
+MOVED = 0.05  # least change of a loss of effectiveness for a new report
+GIVES = 0.2  # least relative change of a stuck rotor's thrust for a new report
+AGAIN_S = 10.0  # time between two reports on one rotor; it doubles each time, up to AGAIN_MOST_S
 AGAIN_MOST_S = 160.0
-CALM_S = 300.0  # without an event of its own, after which a rotor is as if nothing had been told of it
+CALM_S = 300.0  # time without a report on a rotor after which AGAIN_S applies again
 
 
 class Told(Struct):
-    """An event, and what was told of it."""
+    """An event and its last report."""
 
-    event = embedded(Event)  # as it is now, or was
-    number: int = 0  # of `Changes`; 0: this place is free
-    severity: Small = 0  # that was told; 0: nothing yet
-    present: bool = False  # among the events
-    over: bool = False  # its end was told
-    certain: bool = False  # it was told without other explanations
-    rotors: int = 0  # that were told
-    loss = array(REAL, TOGETHER)
-    gives: Real = 0.0  # that was told of a rotor that follows no command
+    event = embedded(Event)  # current or last state
+    number: int = 0  # as in `Changes`; 0: this place is free
+    severity: Small = 0  # reported severity; 0: not reported yet
+    present: bool = False  # still in the list of events
+    over: bool = False  # its end was reported
+    certain: bool = False  # it was reported without alternatives
+    rotors: int = 0  # reported set of rotors
+    loss = array(REAL, TOGETHER)  # reported losses
+    gives: Real = 0.0  # reported thrust of a stuck rotor, hover thrusts
 
 
 class Texts(Struct):
-    """Remembers what was told."""
+    """Tracks the reports of all events."""
 
     told = array(Told, EVENTS + 4)
-    last: Time = -LASTS  # when a text was sent
-    # Of each rotor, and of what has no rotor: when it was told of last, how gravely, and how long it then waits.
+    last: Time = -LASTS  # s, when the last text was sent
+    # For each rotor, and for events without a rotor: time of the last report, waiting time after it, and its severity.
     since = array(TIME, ROTORS + 1)
     wait = array(TIME, ROTORS + 1)
     grave = array(REAL, ROTORS + 1)
 
     def look(self, known: list[Known], count: int) -> None:
-        """The events as they are known now."""
+        """Take over the current events."""
         for i in range(EVENTS + 4):
             self.told[i].present = False
         for k in range(count):
@@ -61,16 +61,16 @@ class Texts(Struct):
                 self.told[place].number = known[k].number
             copy(self.told[place].event, known[k].event)
             self.told[place].present = True
-            if self.told[place].over and not _over(known[k].event):  # it was said to be over, and is not: as if it were another one
+            if self.told[place].over and not _over(known[k].event):  # its end was reported, yet it continues: treat it as a new event
                 self.told[place].over = False
                 self.told[place].severity = 0
         for i in range(EVENTS + 4):
             gone = not self.told[i].present
             if gone and (self.told[i].severity == 0 or self.told[i].over or self.told[i].event.end < LASTS):
-                self.told[i].number = 0  # nothing is to be taken back
+                self.told[i].number = 0  # no report needs to be withdrawn
 
     def due(self, now: Time, most: int) -> int:
-        """Place of the event to tell of now; -1 without one. most: severity of the least grave events that are told at all."""
+        """Index of the event to report now, -1 if there is none. most: MAV_SEVERITY of the least severe events to report."""
         if now - self.last < EVERY_S:
             return -1
         best = -1
@@ -84,7 +84,7 @@ class Texts(Struct):
         return best
 
     def tell(self, place: int, now: Time) -> int:
-        """The event at this place is told of: its severity."""
+        """Mark the event at this index as reported at `now` s; return its severity."""
         grave = _severity(self.told[place])
         self.last = now
         if not self.told[place].present:
@@ -108,7 +108,7 @@ class Texts(Struct):
         return grave
 
     def _new(self, t: Told, now: Time, most: int) -> int:
-        """Severity of what is new about it; 0: nothing, or nothing that is told yet."""
+        """Severity of a report that is due for t; 0 if there is nothing new or it has to wait."""
         grave = _severity(t)
         if t.severity > 0 and (not t.present or (_over(t.event) and not t.over)):
             return grave
@@ -124,7 +124,7 @@ class Texts(Struct):
         return grave
 
     def _free(self) -> int:
-        """A place for one more: a free one, else that of the event that was told of first."""
+        """Index of a free place, else that of the oldest event."""
         place = 0
         for i in range(EVENTS + 4):
             if self.told[i].number == 0:
@@ -135,7 +135,7 @@ class Texts(Struct):
 
 
 def _severity(t: Told) -> int:
-    """Of what is to be told of it."""
+    """Severity of the event's next report."""
     return severity(t.event, not t.present)
 
 
@@ -144,20 +144,20 @@ def _over(e: Event) -> bool:
 
 
 def _of(e: Event, r: int) -> bool:
-    """Whether it is of rotor r, or of none where r is ROTORS."""
+    """Whether the event concerns rotor r, or no rotor if r is ROTORS."""
     if r == ROTORS:
         return e.rotors == 0
     return (e.rotors & (1 << r)) != 0
 
 
 def _gives(e: Event) -> Real:
-    """Hover thrusts that its rotor gives, whatever it is commanded; 0 of one that follows."""
+    """Hover thrusts that a stuck rotor gives whatever it is commanded; 0 for one that follows."""
     return e.size if e.kind == LOSS else 0.0
 
 
 def _changed(t: Told) -> bool:
-    """Whether it is another event than the one that was told: of other rotors, certain or no longer so, or of a loss whose interval has
-    left what was told."""
+    """Whether the event differs from its report: other rotors, alternatives added or removed, a stuck rotor's thrust changed by GIVES, or
+    the reported loss outside the present interval and changed by MOVED."""
     gives = _gives(t.event)
     if (t.gives > 0.0) != (gives > 0.0) or abs(gives - t.gives) > GIVES * t.gives:
         return True

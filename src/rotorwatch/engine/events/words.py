@@ -1,4 +1,4 @@
-"""An event in plain words, as the pilot reads it: the text of a MAVLink STATUSTEXT, and its severity. Rotors count from 1 in words."""
+"""Text of an event for the pilot, as a MAVLink STATUSTEXT, and its severity. Texts count rotors from 1."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rotorwatch.engine.intake.sizes import ROTORS, TOGETHER
 CRITICAL, WARNING, NOTICE, INFO = 2, 4, 5, 6  # MAV_SEVERITY
 
 MOST = 50  # characters of a STATUSTEXT
-_ROOM = 70  # a text that is too long is cut at its end alone
+_ROOM = 70  # characters of the buffer; longer than MOST, so that a text is only cut at its end
 
 
 class Words(Struct):
-    """A text that grows; a 0 is at its end."""
+    """Buffer of a zero-terminated text."""
 
     at = array(LETTER, 71)
     length: Small = 0
 
     def event(self, e: Event, withdrawn: bool, what: str) -> None:
-        """What there is to say of an event; what: in words, of one that is no loss."""
+        """Write the text of an event. what: description of an event that is not a loss."""
         self._add("rotorwatch: ")
         many = _several(e.rotors)
         over = e.kind != CONTACT and e.end < LASTS
@@ -76,7 +76,7 @@ class Words(Struct):
                 self.length += 1
 
     def _number(self, value: int) -> None:
-        """A number below 1000."""
+        """Append a number below 1000."""
         for i in range(3):
             left = value if i == 2 else value // 10 if i == 1 else value // 100
             if (left > 0 or i == 2) and self.length < _ROOM:
@@ -84,11 +84,11 @@ class Words(Struct):
                 self.length += 1
 
     def _percent(self, share: Real) -> None:
-        """A share, 0 to 1, in percent."""
+        """Append a share, 0 to 1, in percent."""
         self._number(int(100.0 * min(max(share, 0.0), 1.0) + 0.5))
 
     def _times(self, factor: Real) -> None:
-        """A factor, as 2.1, or as 14 from 10 on."""
+        """Append a factor, with one decimal below 10 (2.1), else without (14)."""
         tenths = int(10.0 * min(max(factor, 0.0), 999.0) + 0.5)
         if tenths >= 100:
             self._number((tenths + 5) // 10)
@@ -98,7 +98,7 @@ class Words(Struct):
             self._number(tenths % 10)
 
     def _rotors(self, rotors: int) -> None:
-        """As 1+3."""
+        """Append a set of rotors, as 1+3."""
         more = False
         for k in range(ROTORS):
             if (rotors & (1 << k)) != 0:
@@ -109,9 +109,9 @@ class Words(Struct):
 
 
 def severity(e: Event, withdrawn: bool) -> int:
-    """What it means for the flight. A rotor without half of its thrust, or one that does not follow its command at all: critical. What
-    other sets of rotors explain as well, what matters and what turns the vehicle: a warning. Less, and knocks: a notice. What is over or
-    taken back, and a loss that may be wear: an information."""
+    """MAV_SEVERITY of an event. CRITICAL: a loss of GRAVE or more, a stuck rotor, or an output that is STUCK or OFF. WARNING: such an event
+    with alternative sets of rotors, a loss of MATTERS or more, an OVERRIDDEN output, or a turned mount. NOTICE: a smaller loss, or a
+    contact. INFO: an event that is over or withdrawn, or a loss below WORN."""
     if withdrawn or (e.kind != CONTACT and e.end < LASTS):
         return INFO
     if e.kind == CONTACT:
