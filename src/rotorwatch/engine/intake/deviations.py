@@ -99,9 +99,9 @@ class Deviations(Struct):
     """The overrides of one vehicle, updated with each sample."""
 
     runs = array(Run, WAYS, ROTORS)
-    still = array(Rest, ROTORS)  # time of the outputs compared, but for rounding
+    still = array(Rest, ROTORS)  # rest of each output in the comparisons, but for rounding
     rest = array(Rest, ROTORS)  # the same, exactly
-    alone = array(Rest, ROTORS)  # time of the last change of any output
+    alone = array(Rest, ROTORS)  # rest of each output in all samples
     asked = array(TIME, ROTORS)  # when the mixer last asked something of each, as far as it was compared; 0 before
     last: Time = -LASTS  # time of the last comparison
     last_logged: Time = -LASTS  # ... and of the last outputs

@@ -56,7 +56,7 @@ class Plan(Struct):
     side_least: int = 1  # the same of half a second of the accelerometer
     late: Time = LATE_S  # s, motion that is this late is not awaited
     before: int = 10  # ticks in half a second
-    hover: Real = 0.0  # share of full thrust at hover, known from healthy flights, else 0
+    hover: Real = 0.0  # a gyro is present
     gyro: bool = False  # an accelerometer is present
     accel: bool = False
     rebuilt: bool = False  # thrusts come from the rate controller's output, which is sampled faster than the outputs
