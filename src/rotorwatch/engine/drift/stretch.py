@@ -54,7 +54,7 @@ class Stretch(Struct):
                 self.at[place] = i
                 for a in range(3):
                     self.z[a][place] = block.z[a]
-                    self.steady[a][place] = block.scatter[a]  # holds values for the median below until it is computed
+                    self.steady[a][place] = block.scatter[a]  # scatter of the block, read and overwritten below
                 for k in range(v.rotors):
                     self.share[k][place] = block.thrust[k] / mean
                 self.count += 1

@@ -46,7 +46,7 @@ def turns(
     angle = turning.between(a, b)
     mean = np.empty((len(lags), len(starts), 3))
     total, steps = np.zeros(len(when)), np.diff(when)
-    for axis in range(3):  # lags one after the other: for a long flight the memory holds only one
+    for axis in range(3):  # axes one after the other, to save memory in long flights
         np.add(rate[1:, axis], rate[:-1, axis], out=total[1:])
         total *= 0.5
         total[1:] *= steps

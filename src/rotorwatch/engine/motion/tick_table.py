@@ -314,7 +314,7 @@ def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) ->
 
 
 def landed(table: Ticks, spans: allocation.Spans) -> np.ndarray:
-    """(T,) bool: ticks after the end of the flight in which they started."""
+    """(T,) bool: ticks between the end of a flight and the start of the next one."""
     after = np.zeros(len(table.time), bool)
     for k, (start, end) in enumerate(spans):
         following = spans[k + 1][0] if k + 1 < len(spans) else np.inf
