@@ -1,4 +1,4 @@
-"""One vehicle, from its samples to its answer. The same steps for a log and a link:
+"""From a vehicle's samples to its answer. The same steps for a log and a link:
 
     samples -> engine (ticks, losses, trim) -> departures, impacts -> witnesses -> ledger -> conclusion
 
@@ -32,7 +32,7 @@ CHUNK = 64  # ticks that are kept in one table
 
 
 class Case:
-    """One vehicle while its samples come. vehicle: with data from healthy flights, if `known`; air: ((start, end), ...) s of each flight,
+    """Case of a vehicle whose samples are coming. vehicle: with data from healthy flights, if `known`; air: ((start, end), ...) s of each flight,
     cut at impacts, end infinite while airborne; now: time of the newest sample [s]; ticks: number of evaluated ticks."""
 
     def __init__(self, about: Flight, vehicle: Vehicle):
@@ -89,7 +89,7 @@ class Case:
 
     @property
     def plan(self) -> Plan | None:
-        """How the samples are cut into ticks, None until that is known."""
+        """Division of the flight into ticks, None until it is known."""
         return self.driver.plan
 
     @property

@@ -4,7 +4,7 @@ The only place that steps the engine, for links and logs. A log is a link that i
 Samples of one signal come in the order of time, those of different signals in the order of the link. Pieces of any length give the same
 ticks.
 
-Rollback: an impact shows only in the samples after it, so the engine has by then judged ticks on the ground as flight. The driver restores
+Rollback: an impact shows only in the samples after it, so the engine has by then evaluated ticks on the ground as flight. The driver restores
 the last checkpoint before it and feeds the samples since then again, with the end of the flight known.
 """
 
@@ -128,7 +128,7 @@ class Driver:
 
     def follow(self, spans: Spans) -> Piece | None:
         """Take over the end of each flight, ((start, end), ...) s: earlier than the engine knows after an impact. The replacement of all
-        ticks since the checkpoint where that changes ticks which have been judged, else None."""
+        ticks since the checkpoint where that changes ticks which have been evaluated, else None."""
         diagnoser = self.diagnoser
         assert diagnoser is not None
         known = dict(diagnoser.spans)
@@ -152,7 +152,7 @@ class Driver:
 
     @property
     def plan(self) -> Plan | None:
-        """How the samples are cut into ticks."""
+        """Division of the flight into ticks."""
         return None if self.diagnoser is None else self.diagnoser.plan
 
     @property

@@ -1,4 +1,4 @@
-"""One vehicle, from its samples to its events: the front end, the estimator, and the records of its results, joined.
+"""From a vehicle's samples to its events: the front end, the estimator, and the records of its results, joined.
 
     sample -> front end -> tick -> estimator -> losses, falls, contacts, trim -> events -> changes of the events
 
@@ -40,7 +40,7 @@ class Room(Struct):
 
 
 class Engine(Struct):
-    """One vehicle, from its samples to its events. v, p, e of all methods: the vehicle, the division of its flight into ticks, and the
+    """The engine of one vehicle, from its samples to its events. v, p, e of all methods: the vehicle, the division of its flight into ticks, and the
     estimator's knowledge before take-off."""
 
     front = embedded(Front)

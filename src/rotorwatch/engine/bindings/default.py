@@ -34,7 +34,7 @@ class Default:
         return self._first
 
     def step(self, carry: Rows, u, y, valid, dt=None) -> tuple[Rows, Estimate]:
-        """One tick; `carry` stays as it is."""
+        """Process a tick; `carry` is not changed."""
         made, n = self._steps, self._steps.rotors
         made.state = carry.copy()
         out = made.run(np.asarray(u)[None], np.asarray(y)[None], np.asarray(valid)[None])

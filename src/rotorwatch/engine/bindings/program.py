@@ -126,7 +126,7 @@ def balance(u: np.ndarray, vehicle: running.Rows) -> tuple[np.ndarray, np.ndarra
 
 
 def noise_of(u: np.ndarray, y: np.ndarray, valid: np.ndarray, flying: np.ndarray, vehicle: running.Rows) -> np.ndarray:
-    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less their effect; flying (T,); else as in `balance`."""
+    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less their effect; flying (T,); else as `balance`."""
     n, model = int(vehicle["rotors"][0]), ENGINE.new(noise.Noise)
     tables = u[:, : n + 13].astype(float), y.astype(float), valid.astype(bool), flying.astype(bool)
     ENGINE.call(known.learn, vehicle, len(u), *map(np.ascontiguousarray, tables), model)

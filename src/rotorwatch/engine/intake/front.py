@@ -27,7 +27,7 @@ _LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: how far an end may lie before the e
 
 
 class Front(Struct):
-    """One vehicle, from its samples to its ticks."""
+    """Front end of one vehicle: its samples to its ticks."""
 
     air = embedded(Airborne)
     mixer = embedded(Mixer)

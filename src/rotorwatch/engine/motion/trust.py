@@ -59,7 +59,7 @@ GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_A
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Case:
-    """A log under test: the flight, its vehicle, when it was airborne, and its ticks. alike: of `_alike`, for each pair of axes computed."""
+    """A log under test: the flight, its vehicle, when it was airborne, and its ticks. alike: of `_alike`, by pair of axes."""
 
     flight: Flight
     vehicle: Vehicle
