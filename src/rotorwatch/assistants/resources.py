@@ -51,7 +51,7 @@ def register(server: MCPServer) -> None:
 
     @server.resource("rotorwatch://limits", title="Limits: contents", mime_type="text/plain")
     def limits() -> str:
-        """Headings of the limits: the distinctions that a log allows, and those it does not. rotorwatch://limits/HEADING holds the text of each."""
+        """Headings of the limits: what a log can distinguish and what it cannot. rotorwatch://limits/HEADING holds the text of each."""
         return "\n".join(sections())
 
     @server.resource("rotorwatch://limits/{heading}", title="One limit", mime_type="text/markdown")

@@ -32,7 +32,7 @@ CHUNK = 64  # ticks that are kept in one table
 
 
 class Case:
-    """Case of a vehicle whose samples are coming. vehicle: with data from healthy flights, if `known`; air: ((start, end), ...) s of each flight,
+    """A vehicle in progress. vehicle: with data from healthy flights, if `known`; air: ((start, end), ...) s of each flight,
     cut at impacts, end infinite while airborne; now: time of the newest sample [s]; ticks: number of evaluated ticks."""
 
     def __init__(self, about: Flight, vehicle: Vehicle):

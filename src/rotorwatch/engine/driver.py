@@ -4,7 +4,7 @@ The only place that steps the engine, for links and logs. A log is a link that i
 Samples of one signal come in the order of time, those of different signals in the order of the link. Pieces of any length give the same
 ticks.
 
-Rollback: an impact shows only in the samples after it, so the engine has by then evaluated ticks on the ground as flight. The driver restores
+Rollback: an impact shows only in the samples after it, so the engine has evaluated ticks on the ground as flight. The driver restores
 the last checkpoint before it and feeds the samples since then again, with the end of the flight known.
 """
 

@@ -40,7 +40,7 @@ class Room(Struct):
 
 
 class Engine(Struct):
-    """The engine of one vehicle, from its samples to its events. v, p, e of all methods: the vehicle, the division of its flight into ticks, and the
+    """Engine of one vehicle: samples to events. v, p, e of all methods: the vehicle, the division of its flight into ticks, and the
     estimator's knowledge before take-off."""
 
     front = embedded(Front)

@@ -29,9 +29,9 @@ class Fit(Struct):
     root = array(REAL, BLOCKS)  # one over the standard deviation of each innovation
     rows = array(REAL, BLOCKS, ROWS)  # for each block: `steady`, and z of each axis, whitened
     products = array(TIME, ROWS, ROWS)  # of these columns
-    scale = array(TIME, 3)  # prior variance of manoeuvres in z, relative to the noise
-    factor = array(TIME, 3, STEADY, STEADY)  # for each axis: Cholesky factor of the normal matrix of the columns of `steady`
-    own = array(TIME, 3, STEADY)  # coefficients of these columns in z
+    scale = array(TIME, 3)  # prior standard deviation of manoeuvres in z, relative to the noise
+    factor = array(TIME, 3, STEADY, STEADY)  # of each axis: Cholesky factor of the products of `steady`, with its prior
+    own = array(TIME, 3, STEADY)  # components of z along `steady`
     rest = array(TIME, 3)
     fit = array(REAL, 3)
 
@@ -102,7 +102,7 @@ class Fit(Struct):
                     to[i] += row[j] * row[i]
 
     def _weigh(self, axis: int, count: int) -> None:
-        """Explain z by `steady`, with the cost in evidence."""
+        """Fit `steady` to z: prior scale, Cholesky factor and residual of an axis."""
         squares = self.products[STEADY + axis][STEADY + axis]
         left = max(squares - self._explained(axis), 1e-12)
         self.scale[axis] = GAIN * sqrt(real(count) / left)
@@ -124,7 +124,7 @@ class Fit(Struct):
         return 1.0 if j == LEVEL else self.scale[axis]
 
     def _solve(self, axis: int, inside: Times, out: Times) -> None:
-        """Coefficients of a column, solved from its products with `steady`."""
+        """Components of a column along `steady`, by forward substitution of their products."""
         for j in range(STEADY):
             out[j] = inside[j] * self._scale(axis, j)
             for k in range(j):

@@ -86,7 +86,7 @@ class Growth(Struct):
         self._follow(v, stretch, best, start)
 
     def left(self, after: Time) -> Real:
-        """Loss shown by the trim after a time, s; 0 where the trim is too short."""
+        """Loss shown by the trim after a time, s; 0 with too few blocks after it."""
         ordered = local(REAL, BLOCKS)
         count = 0
         for i in range(self.blocks):
