@@ -1,5 +1,5 @@
-"""The answers as types: what a client's schema says of every field. Times in s from the first record of the log, losses as shares (0
-healthy, 1 dead), intervals hold the truth with 95 %, rotors are numbered from 1 as the autopilot does: as in docs/json.md."""
+"""The answers as types, and the schema that describes every field to clients. Times in s from the first record of the log, losses as
+shares (0 healthy, 1 dead), intervals with 95 % coverage, rotors numbered from 1 as in the autopilot: as in docs/json.md."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class QuotedList(BaseModel):
 
 
 class AnyAnswer(BaseModel):
-    """What all answers share."""
+    """Base of all answers."""
 
     note: str | None = Field(None, description="what this answer omits, and how to get it")
 
@@ -132,7 +132,7 @@ class Series(AnyAnswer):
 
 
 class Picture(AnyAnswer):
-    """What the picture shows; the PNG comes with it."""
+    """Content of a picture; the PNG comes with it."""
 
     log: Quoted
     shows: str
@@ -169,7 +169,7 @@ class Message(BaseModel):
 
 
 class Log(AnyAnswer):
-    """What a log holds: `rotorwatch info` in short."""
+    """Content of a log: `rotorwatch info` in short."""
 
     log: Quoted
     firmware: Quoted
@@ -190,7 +190,7 @@ class Log(AnyAnswer):
 
 
 class WhatToLog(AnyAnswer):
-    """What to log next time. missing: the indispensable first."""
+    """Signals to log next time. missing: the indispensable first."""
 
     log: Quoted
     ready: bool = Field(description="whether `diagnose` can assess this log as it is")
@@ -209,7 +209,7 @@ class Case(BaseModel):
 
 
 class Survival(AnyAnswer):
-    """What a vehicle survives: `rotorwatch survive` in short."""
+    """Failures that a vehicle survives: `rotorwatch survive` in short."""
 
     vehicle: Quoted
     rotors: int

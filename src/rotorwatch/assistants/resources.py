@@ -43,7 +43,7 @@ def register(server: MCPServer) -> None:
 
     @server.resource("rotorwatch://glossary/{term}", title="Term", mime_type="text/plain")
     def term(term: str) -> str:
-        """What one term means, such as `ambiguous` or `onset`."""
+        """Meaning of a term, such as `ambiguous` or `onset`."""
         known = {name.lower(): f"{name}: {meaning}" for name, meaning in terms().items()}
         if term.lower() not in known:
             raise ResourceNotFoundError("The glossary has no such term; rotorwatch://glossary holds all of them.")
@@ -51,7 +51,7 @@ def register(server: MCPServer) -> None:
 
     @server.resource("rotorwatch://limits", title="Limits: contents", mime_type="text/plain")
     def limits() -> str:
-        """What can be distinguished from a log and what cannot: the headings. rotorwatch://limits/HEADING holds the text of each."""
+        """Headings of the limits: what a log can distinguish and what it cannot. rotorwatch://limits/HEADING holds the text of each."""
         return "\n".join(sections())
 
     @server.resource("rotorwatch://limits/{heading}", title="One limit", mime_type="text/markdown")

@@ -1,4 +1,4 @@
-"""Samples of a plot's time series: the minimum and the maximum of every stretch of time, so that peaks stay."""
+"""Samples of a plot's time series: the minimum and the maximum of every interval, so that peaks stay."""
 
 from __future__ import annotations
 

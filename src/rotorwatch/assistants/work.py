@@ -1,5 +1,5 @@
-"""The jobs of the processes with limits: read a log, judge it, draw it. A log gets a neutral name there, so that no sentence contains its
-own; the last few diagnoses are kept, because questions about one log come one after the other."""
+"""The jobs of the processes with limits: read a log, evaluate it, draw it. A log gets a neutral name there, so that no sentence contains
+its own; the last few diagnoses are kept, because questions about one log come one after the other."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def planning_loads() -> tuple[str, ...]:
 
 
 def _planning() -> Any:
-    """The module that answers what a vehicle survives. Raises ConfigError where it is not installed."""
+    """The module that answers survival questions. Raises ConfigError where it is not installed."""
     return discovery.first("rotorwatch.api", "What a vehicle survives", "survive")
 
 

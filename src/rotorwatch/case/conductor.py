@@ -1,9 +1,9 @@
-"""One vehicle, from its samples to its answer. The same steps for a log and a link:
+"""From a vehicle's samples to its answer. The same steps for a log and a link:
 
     samples -> engine (ticks, losses, trim) -> departures, impacts -> witnesses -> ledger -> conclusion
 
-A log is a link that is over: its samples come in one piece, so its impacts are known before the engine is fed. On a link an impact shows
-afterwards, and the engine is rolled back. Witnesses that need the whole flight are asked when it is over, by both.
+A log is a completed link: its samples come in one piece, so its impacts are known before the engine is fed. On a link an impact shows
+afterwards, and the engine is rolled back. Witnesses that need the whole flight are evaluated when it is over, for both.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ CHUNK = 64  # ticks that are kept in one table
 
 
 class Case:
-    """One vehicle while its samples come. vehicle: with what healthy flights have shown, if `known`; air: ((start, end), ...) s of each
-    flight, cut at impacts, end infinite while airborne; now: time of the newest sample [s]; ticks: how many have been judged."""
+    """A vehicle in progress. vehicle: with data from healthy flights, if `known`; air: ((start, end), ...) s of each flight,
+    cut at impacts, end infinite while airborne; now: time of the newest sample [s]; ticks: number of evaluated ticks."""
 
     def __init__(self, about: Flight, vehicle: Vehicle):
         """about: parameters and facts of the flight."""
@@ -63,12 +63,12 @@ class Case:
         self.driver.add(signals, messages)
 
     def advance(self) -> bool:
-        """Judge what has become certain; whether there was a new tick."""
+        """Evaluate the samples that have become certain; return whether there was a new tick."""
         piece = self.driver.advance()
         if piece is None:
             return False
         flight = self.driver.replanned()
-        if flight is not None:  # begin anew with the samples that are kept
+        if flight is not None:  # begin again with the stored samples
             self._open()
             self.feed(flight.signals, flight.messages)
             return self.advance()
@@ -90,7 +90,7 @@ class Case:
 
     @property
     def plan(self) -> Plan | None:
-        """How the samples are cut into ticks, None until that is known."""
+        """Division of the flight into ticks, None until it is known."""
         return self.driver.plan
 
     @property
@@ -172,7 +172,7 @@ class Case:
             self._growths = int(slow.join(losses, self.grown) != losses)
 
     def _hear(self) -> None:
-        """Ask the witnesses that are due. Their claims on samples that are gone stay."""
+        """Evaluate the witnesses that are due. Their claims on removed samples stay."""
         view, since = None, self.now - WINDOW_S
         for one, due in self._asked:
             looked_s, old = self._heard.get(one.name, (-np.inf, ()))
@@ -210,8 +210,8 @@ class Case:
 def settled(
     losses: Events, others: Iterable[Event], merge: Callable[[Events], Merged], view: View | None, on_link: bool = False
 ) -> tuple[Merged, Events]:
-    """Claims to events: the estimator's losses and other claims after all witnesses have been heard, merged; and the events after the
-    witnesses that know them. view: None while the vehicle flies; on_link: the witnesses that are asked on the way have been."""
+    """Claims to events: the estimator's losses and other claims after all witnesses have been evaluated, merged; and the events with the
+    witnesses' additions. view: None while the vehicle flies; on_link: the witnesses for flights in progress have been evaluated."""
     claims = losses if view is None else witness.ask(Stage.CLAIMS, view, losses, on_link)
     claims = (*claims, *others)
     claims = claims if view is None else witness.ask(Stage.REVISION, view, claims)

@@ -1,4 +1,4 @@
-"""Losses of control of a flight that goes on: found in the samples so far, once there is reason to look."""
+"""Losses of control of a current flight: searched for in the samples so far, once there is reason to."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ NAMES = (
     "motors", "lift", "battery", "control", "gyro", "rates", "accel", "attitude", "attitude_wanted", "rates_wanted", "velocity", "position",
 )  # fmt: skip
 WINDOW_S = 600.0  # of a link: older samples are gone
-RECENT_S = 6.0  # in which a departure shows, if there is one
-EVERY_S, SELDOM_S = 0.5, 5.0  # between two looks: as long as since the first suspicion, within these
+RECENT_S = 6.0  # a departure shows within this time
+EVERY_S, SELDOM_S = 0.5, 5.0  # between two searches: as long as since the first suspicion, within these limits
 FINAL_S = upset.AFTER_S + 2.0  # after a loss of control: its cause rests on no later samples
 
 
@@ -53,14 +53,14 @@ class Departures:
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
     def _departs(self, window: Window, spans: Spans) -> bool:
-        """Whether the last seconds look like a loss of control or a collision."""
+        """Return whether the last seconds look like a loss of control or a collision."""
         since = window.now - RECENT_S
         air = tuple((max(start, since), min(end, window.now)) for start, end in spans if end > since)
         flight = window.flight(since - 1.0, NAMES)
         return bool(loss_of_control.find(flight, air)) or any(loss_of_control.hit(flight, *hop) is not None for hop in air)
 
     def _judge(self, window: Window, spans: Spans, final: bool) -> None:
-        """Look at the window again; losses of control whose samples are gone stay."""
+        """Evaluate the window again; losses of control whose samples have been removed stay."""
         now = window.now
         flight = window.flight(now - WINDOW_S, NAMES)
         since = now - WINDOW_S + upset.BEFORE_S

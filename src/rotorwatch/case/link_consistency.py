@@ -1,4 +1,4 @@
-"""Whether the samples of a link contradict each other: `motion.trust` asked again and again, as once of a whole log."""
+"""Consistency test of a link's samples: `motion.trust` repeated during the flight, as once for a whole log."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rotorwatch.engine.motion.tick_table import Ticks, joined
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 
-MEMORY_S = 120.0  # of the flight that is compared with itself
-EVERY_S = 10.0  # between two looks while nothing new is announced
+MEMORY_S = 120.0  # of the flight tested
+EVERY_S = 10.0  # between two tests while nothing new is announced
 CLEAR_S = 60.0  # without a contradiction, before a doubt is dropped in flight
 
 
@@ -27,11 +27,11 @@ class Consistency:
         self.doubt = ""
 
     def due(self, now: float, revision: int) -> bool:
-        """Whether to look again at `now` s: always before something new is announced. revision: of the events."""
+        """Return whether a test is due at `now` s: always before something new is announced. revision: of the events."""
         return revision != self._revision or now - self._looked >= EVERY_S
 
     def examine(self, flight: Flight, tables: Sequence[Ticks], spans: Spans, now: float, revision: int) -> None:
-        """Compare the last minutes with themselves. flight: their samples; tables: their ticks; spans: (start, end) s of each flight, end
+        """Test the last minutes for contradictions. flight: their samples; tables: their ticks; spans: (start, end) s of each flight, end
         infinite while airborne."""
         self._looked, self._revision, since = now, revision, now - MEMORY_S
         recent = [table for table in tables if table.time[-1] >= since]

@@ -56,8 +56,8 @@ class Estimated:
 
 
 class Judgement(NamedTuple):
-    """end: the answer. doubts: why the log contradicts itself. evidence: open claims. whole: the comparison with healthy flights,
-    None without. assumptions, warnings: sentences for the answer."""
+    """end: the answer. doubts: why the log contradicts itself. evidence: open claims. whole: the comparison with healthy flights, None
+    without. assumptions, warnings: sentences for the answer."""
 
     end: conclusion.Conclusion
     doubts: tuple[str, ...]
@@ -68,13 +68,13 @@ class Judgement(NamedTuple):
 
 
 class LogCase(NamedTuple):
-    """A log that is ready to be judged.
+    """A log ready for evaluation.
 
-    known: the vehicle holds what healthy flights have shown, from `source`; dynamics: their gains and noise, None where these do not fit
-    this log. air: ((start, end), ...) s of each flight, cut at impacts; written: the engine's records, estimated: the outputs of the method
-    that judges by default, table: its ticks; all None without a flight. ready_s: after take-off, in which trim and noise are
-    learned. hovers: False where only angular motion is judged (witnesses/aerobatic). assumptions, warnings: sentences. missing: commands
-    that the log lacks in the air. matters: loss of one rotor that a healthy flight must have excluded.
+    known: the vehicle holds data from healthy flights, from `source`; dynamics: their gains and noise, None where these do not fit this
+    log. air: ((start, end), ...) s of each flight, cut at impacts; written: the engine's records, estimated: the outputs of the method
+    that decides by default, table: its ticks; all None without a flight. ready_s: after take-off, in which trim and noise are learned.
+    hovers: False where only angular motion is evaluated (witnesses/aerobatic). assumptions, warnings: sentences. missing: commands that
+    the log lacks in the air. matters: loss of one rotor that a healthy flight must have excluded.
     """
 
     flight: Flight
@@ -184,18 +184,18 @@ def _concluded(
 
 
 def _judged_until(judged: np.ndarray, found: Sequence[Event]) -> float:
-    """The last judged moment [s], of ticks at these times: a push that lasts to the end masks a loss."""
+    """The last evaluated time [s], of ticks at these times: a disturbance that lasts to the end masks a loss."""
     pushed = (e.onset_s for e in found if e.kind == CONTACT and e.end_s is None)
     return min([float(judged[-1]) if judged.size else np.inf, *pushed])
 
 
 def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray, hovers: bool) -> tuple[np.ndarray, float]:
-    """(n,) largest loss of each rotor that could be there undetected: too small to be measured, or absorbed as a disturbance; and the same
-    of two opposite rotors."""
+    """(n,) largest undetectable loss of each rotor: too small to be measured, or absorbed as a disturbance; and the same of two opposite
+    rotors."""
     judged = table.mode == JUDGE
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
-    if not hovers:  # its bound is of all blocks so far; two opposite rotors at once are not looked for
+    if not hovers:  # its bound covers all blocks so far; two opposite rotors at once are not tested
         return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
     measured = 1.96 * median(out.detectable[judged], axis=0)
     single = np.minimum(1.0, np.maximum(measured, seen.losses()))

@@ -1,4 +1,4 @@
-"""The definitions together, ready to run, and the samples of a flight as they take them."""
+"""The definitions together, ready to run, and the samples of a flight in their form."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ KINDS = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Samples:
-    """n samples in the order of time: kind, time [s], and the place of their numbers in `values`; NaN: not known."""
+    """n samples in time order: kind, time [s], and the index of their numbers in `values`; NaN: unknown."""
 
     kind: np.ndarray
     time: np.ndarray
@@ -73,7 +73,7 @@ class Samples:
         return len(self.time)
 
     def part(self, first: int, last: int) -> Samples:
-        """Those from `first` to `last`, less that."""
+        """Samples `first` to `last`, exclusive."""
         return Samples(self.kind[first:last], self.time[first:last], self.at[first:last], self.values)
 
 
@@ -87,25 +87,24 @@ class Part(NamedTuple):
 
     @staticmethod
     def of(flight: Flight, name: str, columns: int | None = None) -> Part:
-        """A signal; columns: only the first ones."""
+        """Part from a signal; columns: only the first ones."""
         signal = flight[name]
         return Part(name, signal.time, signal.values[:, :columns], signal.valid[:, :columns])
 
     def rows(self, which: slice | np.ndarray) -> Part:
-        """Some of them."""
+        """A selection of rows."""
         valid = None if self.valid is None else self.valid[which]
         return Part(self.name, self.time[which], self.values[which], valid)
 
     def numbers(self) -> np.ndarray:
-        """The values, NaN where they are not known."""
+        """The values, NaN where unknown."""
         if self.valid is None or self.valid.all():
             return self.values
         return np.where(self.valid if self.valid.ndim > 1 else self.valid[:, None], self.values, np.nan)
 
 
 def pieces(parts: Iterable[Part], most: int = PIECE) -> Iterator[Samples]:
-    """As `merged`, about `most` samples at a time, so that those of a long log are never all held at once. Samples of equal times come in
-    one piece."""
+    """Like `merged`, about `most` samples at a time, to limit the memory for a long log. Samples of equal times come in one piece."""
     parts = [part for part in map(_in_order, parts) if len(part.time)]
     count = -(-sum(len(part.time) for part in parts) // most)
     if count < 2:
@@ -135,7 +134,7 @@ def merged(parts: Iterable[Part]) -> Samples:
         places.append((total + width * np.arange(count)).astype(np.int32))
         values.append(np.ascontiguousarray(part.numbers(), float).reshape(-1))
         total += count * width
-    values.append(np.full(sizes.ROTORS, np.nan))  # as many as any kind reads
+    values.append(np.full(sizes.ROTORS, np.nan))  # as many as the largest kind has
     if not times:
         return Samples(np.empty(0, np.int32), np.empty(0), np.empty(0, np.int32), values[0])
     kind, time = np.concatenate(kinds), np.concatenate(times)
@@ -144,14 +143,14 @@ def merged(parts: Iterable[Part]) -> Samples:
 
 
 def states(messages: Iterable[Message]) -> Part:
-    """(n, 2): landed, armed: 1 or 0, -1: nothing new."""
+    """(n, 2): landed, armed: 1 or 0, -1: unchanged."""
     words = [(m.time, m.value > 0.5, m.kind == "armed") for m in messages if m.kind in ("landed", "armed")]
     rows = [(-1.0, float(value)) if armed else (float(value), -1.0) for _, value, armed in words]
     return Part("state", np.array([time for time, _, _ in words]), np.array(rows).reshape(-1, 2))
 
 
 def craft(rotors: int, **facts: object) -> Rows:
-    """A Vehicle with what is known of it."""
+    """A Vehicle with the known data."""
     made = ENGINE.new(vehicle.Vehicle)
     made.set(rotors=rotors, **facts)
     return made

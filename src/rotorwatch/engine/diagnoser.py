@@ -1,4 +1,4 @@
-"""The engine of one vehicle, as Python has it: samples in; ticks, what the estimator made of them, and what is written down of it out."""
+"""The engine of one vehicle in Python: samples in; ticks, the estimator's outputs, and the records of losses and contacts out."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROOM = 512  # ticks in one call
 
 
 class Judged(NamedTuple):
-    """Ticks that have become certain, and what the estimator made of them."""
+    """Ticks that have become certain, with the estimator's outputs."""
 
     table: Ticks
     out: TickOutput
@@ -38,7 +38,7 @@ class Judged(NamedTuple):
 
     @staticmethod
     def joined(parts: list[Judged]) -> Judged | None:
-        """Those that follow each other, in one; None without any. The list is emptied, so that they are not held twice."""
+        """Consecutive ones joined; None without any. The list is emptied, to save memory."""
         if len(parts) < 2:
             return parts[0] if parts else None
         tables, columns = [one.table for one in parts], [list(x) for x in zip(*(one.out for one in parts), strict=True)]
@@ -49,8 +49,8 @@ class Judged(NamedTuple):
 
 
 class Written(NamedTuple):
-    """What a diagnoser leaves behind: losses, falls and contacts, the trim, outputs that have not followed the mixer, and what the
-    estimator has come to."""
+    """Records of a diagnoser: losses, falls and contacts, the trim, outputs that have not followed the mixer, and the estimator's present
+    state."""
 
     losses: event_rows.Losses
     report: event_rows.Report
@@ -69,11 +69,11 @@ class Checkpoint(NamedTuple):
 
 
 class Diagnoser:
-    """One vehicle, from its samples on. losses, report, trim: what is written down so far; contacts: of all ticks so far."""
+    """Diagnoser of one vehicle. losses, report, trim: the records so far; contacts: of all ticks so far."""
 
     def __init__(self, vehicle: Vehicle, craft: Rows, plan: Plan, mixing: bool, dynamics: dict | None = None):
-        """craft: the vehicle as the definitions take it (`allocation.laid_out`); mixing: thrusts come from the rate controller's output;
-        dynamics: what healthy flights have shown. Raises ConfigError for ticks of no length that is known."""
+        """craft: the vehicle in the definitions' form (`allocation.laid_out`); mixing: thrusts come from the rate controller's output;
+        dynamics: learned from healthy flights. Raises ConfigError for ticks of an unknown length."""
         self.vehicle, self._craft, self._mixing = vehicle, craft, mixing
         B = vehicle.effectiveness()
         craft.set(coaxial=bool(event_rows.vehicle(B)["coaxial"][0]))
@@ -91,11 +91,11 @@ class Diagnoser:
         ENGINE.call(feed.begin, self._engine, self._plant)
 
     def planned(self, plan: Plan) -> None:
-        """Go on with other rates of the samples; the length of a tick stays."""
+        """Continue with other sampling rates; the length of a tick stays."""
         self.plan, self._plan = plan, laid_out(plan, known_hover(self.vehicle), self._mixing)
 
     def feed(self, samples: Samples) -> list[Judged]:
-        """More samples, in the order of time: the ticks that are certain by them."""
+        """Add samples, in time order; returns the ticks that they make certain."""
         found, first, many = [], 0, ROOM
         while first < len(samples) or many == ROOM:
             rest = first, len(samples), samples.kind, samples.time, samples.at, samples.values
@@ -105,20 +105,20 @@ class Diagnoser:
         return found
 
     def finish(self, end: float) -> list[Judged]:
-        """No sample comes after `end` s: the ticks that are left."""
+        """No sample comes after `end` s: returns the remaining ticks."""
         found = []
         while many := self._call(feed.finish, end):
             found, end = [*found, *self._judged(many)], LASTS
         return found
 
     def fell(self, at: float) -> None:
-        """The flight that goes on, or was the last, was over at `at` s, as only what comes after it shows: its ticks from now on lie on
-        the ground; LASTS: no, it was not."""
+        """The current or last flight ended at `at` s, as only later samples show: its ticks from now on are on the ground; LASTS:
+        withdraw that."""
         self._engine.set(fell=min(at, LASTS))
 
     def checkpoint(self) -> Checkpoint:
         """A copy of its state, for `restore`."""
-        spans, overrides = self.spans, self.overrides  # which the engine hands over
+        spans, overrides = self.spans, self.overrides  # state that the engine copies
         return Checkpoint(self._engine.copy(), self.contacts, spans, overrides)
 
     def restore(self, state: Checkpoint) -> None:
@@ -129,12 +129,12 @@ class Diagnoser:
 
     @property
     def learned(self) -> Learned:
-        """What the estimator has come to."""
+        """The estimator's present state."""
         return program.learned(self._engine.part("estimator"), len(self.vehicle.rotors))
 
     @property
     def spans(self) -> Spans:
-        """(start, end) s of each flight so far, infinite where it lasts."""
+        """(start, end) s of each flight so far, infinite end while airborne."""
         air = self._engine.part("front").part("air")
         if count := int(air["ended"][0]):
             flights, last = air.part("flights"), float(air["last"][0])
@@ -154,7 +154,7 @@ class Diagnoser:
 
     @property
     def missing(self) -> tuple[Gap, ...]:
-        """Commands that have been missing for longer than a gap, in the flight that goes on or was the last."""
+        """Commands that have been missing for longer than a gap, in the current or last flight."""
         air, spans = self._engine.part("front").part("air"), self.spans
         who = [k for k in range(len(self.vehicle.rotors)) if int(air["unseen"][0]) >> k & 1]
         start, end = spans[-1] if spans else (np.inf, np.inf)
@@ -163,24 +163,24 @@ class Diagnoser:
 
     @property
     def tick_end_s(self) -> float:
-        """End of the next tick of all [s]."""
+        """End of the next tick of the front end [s]."""
         sense = self._engine.part("front").part("sense")
         return float(sense["origin"][0]) + self.plan.dt * int(sense["next"][0])
 
     @property
     def doubting(self) -> bool:
-        """Whether ticks wait because the vehicle may have landed."""
+        """Return whether ticks wait because the vehicle may have landed."""
         return bool(self._engine.part("front")["doubting"][0])
 
     @property
     def written(self) -> Written:
-        """What is written down so far, of its own."""
+        """Copies of the records so far."""
         losses, report, trim = (self._engine.part(name).copy() for name in ("losses", "report", "trim"))
         B = self.vehicle.effectiveness()
         return Written(event_rows.Losses(B, losses), event_rows.Report(B, report), trim, self.overrides, self.learned)
 
     def _call(self, function, *arguments) -> int:
-        """Ticks that a function of `feed` has made."""
+        """Collect the ticks made by a function of `feed`."""
         constants = self._craft, self._plan, self._plant
         ENGINE.call(function, self._engine, *constants, *arguments, *self._room, ROOM, self._fed)
         return int(self._fed["ticks"][0])

@@ -4,7 +4,7 @@ The only place that steps the engine, for links and logs. A log is a link that i
 Samples of one signal come in the order of time, those of different signals in the order of the link. Pieces of any length give the same
 ticks.
 
-Rollback: an impact shows only in the samples after it, so the engine has by then judged ticks on the ground as flight. The driver restores
+Rollback: an impact shows only in the samples after it, so the engine has evaluated ticks on the ground as flight. The driver restores
 the last checkpoint before it and feeds the samples since then again, with the end of the flight known.
 """
 
@@ -30,17 +30,17 @@ from rotorwatch.engine.window import Window
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
-LOOK_S = 0.2  # at least so often it is asked whether the vehicle flies
+LOOK_S = 0.2  # longest interval between checks whether the vehicle flies
 FORGET_S = 1.0  # between two removals of old samples
 LOOK_BACK_S = 8.0  # of samples before a checkpoint: the longest look back is 2 s; late samples come on top
-REPLAY_S = 120.0  # at least so much can be rolled back
-FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands from which a flight is planned, or so long and so many
+REPLAY_S = 120.0  # shortest rollback that is always possible
+FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands needed to plan a flight, or so long and so many
 SUM_S = 1e-9  # rounding of two sums of the same times: a tick must not wait for the next sample because of it
 CHANGED = 1.2  # factor by which a sampling rate must change for a new plan
 
 
 RECORDED = "best", "probability", "onsets", "active", "each", "share", "gives"
-"""Outputs of ticks, half of their size, that nothing reads once the engine has recorded its losses."""
+"""Outputs of ticks, half of their size, that are not read once the engine has recorded its losses."""
 
 
 class Piece(NamedTuple):
@@ -128,7 +128,7 @@ class Driver:
 
     def follow(self, spans: Spans) -> Piece | None:
         """Take over the end of each flight, ((start, end), ...) s: earlier than the engine knows after an impact. The replacement of all
-        ticks since the checkpoint where that changes ticks which have been judged, else None."""
+        ticks since the checkpoint where that changes ticks which have been evaluated, else None."""
         diagnoser = self.diagnoser
         assert diagnoser is not None
         known = dict(diagnoser.spans)
@@ -152,7 +152,7 @@ class Driver:
 
     @property
     def plan(self) -> Plan | None:
-        """How the samples are cut into ticks."""
+        """Division of the flight into ticks."""
         return None if self.diagnoser is None else self.diagnoser.plan
 
     @property

@@ -1,10 +1,10 @@
-"""One vehicle, from its samples to its events: the front end, the estimator, and what is written down of them, joined.
+"""From a vehicle's samples to its events: the front end, the estimator, and the records of its results, joined.
 
-    sample -> front end -> tick -> estimator -> losses, falls, contacts, trim -> events -> what is new about them
+    sample -> front end -> tick -> estimator -> losses, falls, contacts, trim -> events -> changes of the events
 
-Feed every sample in the order of time, of all kinds together; feeding one of time t says that all older ones have come. `step` then goes
-on by a tick as long as there is one that is certain. A flight controller calls `sample` and `poll`, which is all of it; a computer feeds
-many samples in one call and keeps the ticks (`feed`). Both do the same in the same order.
+Feed the samples of all kinds together in time order; a sample of time t implies that all older ones have arrived. `step` then advances by
+a tick as long as there is a certain one. A flight controller needs only `sample` and `poll`; a computer feeds many samples in one call
+and keeps the ticks (`feed`). Both do the same in the same order.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from rotorwatch.engine.intake.sense import Plan
 from rotorwatch.engine.intake.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
 
-PACE = 3.0  # ticks that are worked off in pieces in the length of one
-FINAL_S = 60.0  # what ended so long ago is not withdrawn any more
+PACE = 3.0  # ticks processed in pieces during the length of one
+FINAL_S = 60.0  # an event that ended longer ago is not withdrawn
 
 
 class Room(Struct):
-    """To list events in: nothing in it outlives that."""
+    """Scratch memory for listing events; nothing in it is kept."""
 
     records = embedded(Records)
     losses = array(Event, RECORDS)
@@ -40,8 +40,8 @@ class Room(Struct):
 
 
 class Engine(Struct):
-    """One vehicle, from its samples to its events. v, p, e of all methods: the vehicle, how its flight is cut into ticks, and what the
-    estimator knows of it before take-off."""
+    """Engine of one vehicle: samples to events. v, p, e of all methods: the vehicle, the division of its flight into ticks, and the
+    estimator's knowledge before take-off."""
 
     front = embedded(Front)
     estimator = embedded(Estimator)
@@ -49,36 +49,36 @@ class Engine(Struct):
     report = embedded(Report)
     trim = embedded(Trim)
     changes = embedded(Changes)
-    made = embedded(Made)  # the last tick, as it was measured
-    out = embedded(Result)  # what the estimator made of it
-    events = array(Event, EVENTS)  # at the last poll
-    withdrawn = array(Event, EVENTS)  # since the poll before
+    made = embedded(Made)  # the last tick, as measured
+    out = embedded(Result)  # the estimator's output for it
+    events = array(Event, EVENTS)  # events at the last poll
+    withdrawn = array(Event, EVENTS)  # events at the poll before
     fresh = array(Change, 2 * EVENTS)
     room = embedded(Room)
-    # The flight that goes on, or was the last, ended at this time, as only what comes after it shows; LASTS: nothing shows that.
+    # End of the current or last flight, as only later samples show; LASTS: none known.
     fell: Time = LASTS
-    tick = embedded(Made)  # the one that is under way: as `made`, but on the ground where it fell
-    now = embedded(Inputs)  # the same, as the estimator takes it
-    due: Time = 0.0  # ticks that may be worked off by now, in pieces
-    underway: bool = False  # a tick is worked off in pieces
+    tick = embedded(Made)  # the tick in progress: like `made`, but on the ground after a fall
+    now = embedded(Inputs)  # the same as the estimator's input
+    due: Time = 0.0  # ticks that may be processed by now, in pieces
+    underway: bool = False  # a tick is being processed in pieces
     count: Small = 0  # of events
-    landed: bool = False  # the flight is over, and its last ticks wait
-    judged: bool = False  # a tick has been judged
+    landed: bool = False  # the flight has ended, and its last ticks wait
+    judged: bool = False  # a tick has been evaluated
 
     def begin(self, e: Plant) -> None:
         """Before the first sample."""
         self.estimator.begin(e)
 
     def push(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
-        """One sample, whose work is to be done in pieces, by `work` until that is False. What waited is worked off PACE times as fast as
-        ticks come, so that no call, nor any short time, is kept busy by all that have waited, at a landing or after a doubt. Only where
-        the next flight has begun before all of the last one is worked off is there no limit."""
+        """Add a sample and leave its work to `work`, to be called until it returns False. Waiting ticks are processed at PACE times the
+        tick rate, so that the backlog after a landing or an uncertain landing never occupies the processor for one call or a short time.
+        The rate is unlimited only when the next flight has begun before the backlog of the last one is processed."""
         if time > self.front.now:
             self.due = min(self.due + PACE / p.dt * (time - self.front.now), 1.0)
         self.take(v, p, kind, time, x)
 
     def work(self, v: Vehicle, p: Plan, e: Plant) -> bool:
-        """A piece of the work that is due, in the order in which `step` and `trim.work` do it; False where there is none."""
+        """Do a piece of the due work, in the order of `step` and `trim.work`; False where there is none."""
         if self.underway:
             self.underway = self.estimator.part(e, self.now, self.out)
             if not self.underway:
@@ -94,13 +94,13 @@ class Engine(Struct):
         return self.underway
 
     def sample(self, v: Vehicle, p: Plan, e: Plant, kind: int, time: Time, x: Reals) -> None:
-        """One sample, and the work that is due by it."""
+        """Add a sample and do the work that it makes due."""
         self.push(v, p, kind, time, x)
         while self.work(v, p, e):
             pass
 
     def finish(self, v: Vehicle, p: Plan, e: Plant, time: Time) -> None:
-        """The end: all samples up to `time` s have come, and no more will."""
+        """The end: all samples up to `time` s have arrived, and no more will."""
         while self.work(v, p, e):
             pass
         self.end(v, p, time)
@@ -109,7 +109,7 @@ class Engine(Struct):
         self.trim.finish(v)
 
     def take(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
-        """One sample of a kind (`Front`); x: its numbers, NaN where they are not known."""
+        """Take a sample of a kind (`Front`); x: its numbers, NaN where unknown."""
         was = self.front.start
         self.front.sample(v, p, kind, time, x)
         self._look(was)
@@ -121,7 +121,7 @@ class Engine(Struct):
         self._look(was)
 
     def step(self, v: Vehicle, p: Plan, e: Plant) -> bool:
-        """The next tick that is certain, through the estimator and into the books; False where there is none."""
+        """Process the next certain tick by the estimator and record it; False where there is none."""
         if not self._next(v, p):
             return False
         self.estimator.step(e, self.now, self.out)
@@ -129,7 +129,7 @@ class Engine(Struct):
         return True
 
     def _next(self, v: Vehicle, p: Plan) -> bool:
-        """Take the next tick that is certain; False where there is none."""
+        """Take the next certain tick; False where there is none."""
         if self.landed and self.front.certain == 0:
             fell = self.front.before_start <= self.fell < self.front.before_end
             self.report.landed(self.fell if fell else self.front.before_end)
@@ -143,7 +143,7 @@ class Engine(Struct):
         return True
 
     def poll(self, v: Vehicle) -> int:
-        """List the events, and what is new about them since the last poll, in `fresh`; how much."""
+        """List the events and, in `fresh`, their changes since the last poll; return the number of changes."""
         flies = self.front.start < LASTS or self.landed
         room = self.room
         lost = self.losses.losses(v, flies, room.records, room.losses)
@@ -157,15 +157,15 @@ class Engine(Struct):
         return self.changes.look(self.events, self.count, final, -1, False, self.withdrawn, self.fresh)
 
     def main(self) -> int:
-        """Place of the event that matters most, of those at the last poll; -1 without one."""
+        """Index of the most severe event of the last poll; -1 without one."""
         return main_event(self.events, self.count)
 
     def verdict(self) -> int:
-        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. What is not seen is not healthy."""
+        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy."""
         return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
 
     def _write(self, v: Vehicle, p: Plan) -> None:
-        """Write the tick down, and what the estimator made of it."""
+        """Record the tick and the estimator's output."""
         tick = self.tick
         found = Found()
         _find(v, self.out, found)
@@ -186,12 +186,12 @@ class Engine(Struct):
         self.trim.tick(v, p.dt, tick.time, tick.mode, usable, lacking, tick.thrust)
 
     def _look(self, was: Time) -> None:
-        """Whether the flight that had begun at `was` is over."""
+        """Return whether the flight that began at `was` has ended."""
         self.landed = self.landed or (was < LASTS and (self.front.start < was or self.front.start > was))
 
 
 def _tell(v: Vehicle, made: Made, now: Inputs) -> None:
-    """A tick as the estimator takes it."""
+    """Convert a tick to the estimator's input."""
     for i in range(v.rotors):
         now.thrust[i] = made.thrust[i]
     for a in range(3):
@@ -213,7 +213,7 @@ def _tell(v: Vehicle, made: Made, now: Inputs) -> None:
 
 
 def _find(v: Vehicle, out: Result, found: Found) -> None:
-    """What the estimator made of a tick, as losses are written down from it."""
+    """Convert the estimator's output to the input of the loss records."""
     for k in range(v.rotors):
         found.theta[k] = out.theta[k]
         found.theta_sd[k] = out.theta_sd[k]

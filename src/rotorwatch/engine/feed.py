@@ -1,6 +1,6 @@
-"""Many samples in one call: of a whole log, or of what has come on a link.
+"""Many samples in one call: of a whole log, or as received on a link.
 
-A sample is its kind, its time and its numbers: `values` from `at` on. NaN: not known. Samples of equal times come in the order of kinds.
+A sample is its kind, its time and its numbers: `values` from `at` on. NaN: unknown. Samples of equal times come in the order of kinds.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from rotorwatch.engine.intake.ticks import Made
 
 
 class Fed(Struct):
-    """How far a call has come: samples that were taken, ticks that were made."""
+    """Progress of a call: samples taken, ticks made."""
 
     samples: int = 0
     ticks: int = 0
 
 
 def begin(g: Engine, e: Plant) -> None:
-    """Complete what the estimator knows before take-off, and be ready for the first sample."""
+    """Complete the estimator's knowledge before take-off, and prepare for the first sample."""
     set_plant(e)
     g.begin(e)
 
@@ -45,8 +45,8 @@ def feed(
     room: int,
     fed: Fed,
 ) -> None:
-    """The samples from `first` to n, and the ticks that are certain by them with what the estimator made of each, as far as there is room;
-    again from fed.samples on where there was not enough."""
+    """Take the samples from `first` to n, and return the ticks that they make certain with the estimator's outputs, as far as there is
+    room; if not enough, call again from fed.samples on."""
     x = local(REAL, ROTORS)
     fed.ticks = 0
     fed.samples = first
@@ -62,7 +62,7 @@ def feed(
 
 
 def finish(g: Engine, v: Vehicle, p: Plan, e: Plant, time: Time, made: list[Made], out: list[Result], room: int, fed: Fed) -> None:
-    """The end at `time` s, and the ticks that are left, as far as there is room; again with LASTS until there are none."""
+    """The end at `time` s: return the remaining ticks, as far as there is room; call again with LASTS until there are none."""
     fed.ticks = 0
     if time < LASTS:
         g.end(v, p, time)
@@ -72,7 +72,7 @@ def finish(g: Engine, v: Vehicle, p: Plan, e: Plant, time: Time, made: list[Made
 
 
 def _go_on(g: Engine, v: Vehicle, p: Plan, e: Plant, made: list[Made], out: list[Result], room: int, fed: Fed) -> None:
-    """The ticks that are certain."""
+    """Process the certain ticks."""
     while fed.ticks < room and g.step(v, p, e):
         copy(made[fed.ticks], g.made)
         copy(out[fed.ticks], g.out)

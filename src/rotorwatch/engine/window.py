@@ -1,4 +1,4 @@
-"""The newest samples of one vehicle. A whole log is a window that forgets nothing; its samples are not copied."""
+"""The newest samples of one vehicle. A whole log is an unlimited window; its samples are not copied."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from rotorwatch.flight import Flight, Message, Signal
 
 STATES = ("landed", "armed")
-LATE = ("vibration", "clipping", "innovations")  # signals that a link may bring late: they do not show how far the flight is
-MOST_MESSAGES = 1000  # other than states, that are kept; the newest
+LATE = ("vibration", "clipping", "innovations")  # signals that may arrive late on a link: no measure of the progress of the flight
+MOST_MESSAGES = 1000  # largest number of stored messages other than states; the newest are kept
 
 
 class Growing:
@@ -57,7 +57,7 @@ class Growing:
         self._first, self._end = 0, part.stop - part.start
 
     def forget(self, before: float) -> None:
-        """Drop what is older, but for the last sample of it that is known."""
+        """Remove older samples, except the last known one before."""
         self._first = self._last_known(before)
 
     def since(self, start: float) -> Signal:
@@ -66,23 +66,23 @@ class Growing:
         return self._like.with_arrays(self._time[part], self._values[part], self._valid[part])
 
     def _last_known(self, before: float) -> int:
-        """Place of the last sample before a time that is known; of the last one at all where none is."""
+        """Index of the last known sample before a time; of the last one before it where none is known."""
         last = self._first + int(self.time.searchsorted(before)) - 1
-        if last <= self._first or self._valid[last].any():  # the rule
+        if last <= self._first or self._valid[last].any():  # the usual case
             return max(last, self._first)
         known = np.flatnonzero(self._valid[self._first : last].any(axis=1))
         return self._first + int(known[-1]) if known.size else last
 
 
 def copied(flight: Flight, **changed) -> Flight:
-    """As `dataclasses.replace`, which takes ten times as long, several times a tick."""
+    """Like `dataclasses.replace`, which takes ten times as long and would run several times a tick."""
     new = object.__new__(Flight)
     new.__dict__.update(flight.__dict__, **changed)
     return new
 
 
 class Window:
-    """The newest samples of one vehicle. about: what is known of the flight besides (parameters, facts, ...); its signals are not used."""
+    """The newest samples of one vehicle. about: other facts of the flight (parameters, facts, ...); its signals are not used."""
 
     def __init__(self, about: Flight):
         self.about = replace(about, signals={}, messages=())
@@ -113,7 +113,7 @@ class Window:
         return tuple(self._signals)
 
     def flight(self, start: float, names: Iterable[str] | None = None) -> Flight:
-        """A flight of what is kept, from the last samples before `start` on; names: of the signals in it (None: all)."""
+        """A flight from the stored samples, from the last ones before `start` on; names: of the signals in it (None: all)."""
         names = self._signals if names is None else [name for name in names if name in self._signals]
         signals = {name: self._signals[name].since(start) for name in names}
         return copied(self.about, signals=signals, duration=max(self.now, 0.0), messages=tuple(self._messages))

@@ -1,8 +1,8 @@
-"""Judging vehicles while they fly. Data flows one way, from bytes to alerts.
+"""Evaluation of vehicles in flight. Data flows one way, from bytes to alerts.
 
 endpoint.py   bytes of UDP, TCP and serial ports
 framing.py    bytes to valid MAVLink frames
-routes.py     the addresses that send under one id, and which of them is followed
+routes.py     the addresses that send under one id, and the choice of the one to follow
 senders.py    number of senders behind one address
 clock.py      a vehicle's own time
 mavlink.py    frames to samples
@@ -15,7 +15,7 @@ esc_notices.py ESC telemetry of a flying vehicle
 alert_states.py changes of the list of events
 watched.py    one vehicle, its alerts so far, and the health of its link
 watch.py      all vehicles of all endpoints, in one loop
-guard.py      displays and alerts, whose failures must not end the judging
+guard.py      isolation of displays and alerts, whose failures must not end the evaluation
 record.py     a link as a telemetry log
 view.py       all vehicles in a terminal
 webhook.py    alerts to a web address

@@ -1,7 +1,7 @@
 """ESC telemetry of a flying vehicle: the rotors' speeds, and rotors that stop though they are commanded to turn.
 
 The causal part of the rule of `esc.stopped`: a rotor below STANDS of its usual speed in REPORTS reports in a row, commanded more than
-COMMANDED of its usual command, while two others turn. The vehicle's motion is judged separately.
+COMMANDED of its usual command, while two others turn. The vehicle's motion is evaluated separately.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Isolation of displays, records, alerts and counters, whose failures must never end the judging."""
+"""Isolation of displays, records, alerts and counters, whose failures must never end the evaluation."""
 
 from __future__ import annotations
 

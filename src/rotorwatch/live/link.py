@@ -102,7 +102,7 @@ class LinkedVehicle:
         return False
 
     def _fails(self, now: float) -> str:
-        """The reason why the followed address does not allow judging; empty where it does."""
+        """The reason why the followed address does not suffice for the evaluation; empty where it does."""
         routes = self.routes
         if self._mixed:
             return "two vehicles appear to send there"
@@ -114,7 +114,7 @@ class LinkedVehicle:
         return "it does not send its parameters" if unknown else ""
 
     def _reroute(self, now: float) -> None:
-        """Follow another address where this one does not send what judging needs."""
+        """Follow another address where this one does not send the inputs of the evaluation."""
         session, routes, why = self.watched.session, self.routes, self._fails(now)
         doubted = session is not None and bool(session.doubt)
         if doubted:
@@ -149,7 +149,7 @@ class LinkedVehicle:
         return True
 
     def _one_sender(self) -> bool:
-        """True if all frames are of one sender: a mixture of two senders cannot be judged."""
+        """True if all frames are of one sender: a mixture of two senders cannot be evaluated."""
         several = self.routes.followed.senders.several
         if several and not self._mixed:
             self.watched.say(f"{TWO_SENDERS}; nothing is assessed until only one is left", "error")
@@ -214,7 +214,7 @@ class LinkedVehicle:
             self._begin(self._begun)
 
     def step(self, now: float) -> None:
-        """Judge new samples, and request missing messages."""
+        """Evaluate new samples, and request missing messages."""
         try:
             self._recover(now)
             self._step(now)
@@ -250,7 +250,7 @@ class LinkedVehicle:
         if session is None or not self.messages.pending or not self.messages.reached(session.due_s):
             return
         if self.routes.followed.senders.suspected:
-            return  # a mixture of two senders cannot be judged: wait until that is decided
+            return  # a mixture of two senders cannot be evaluated: wait until that is decided
         signals, messages = self.messages.take(self._outputs, session.flying)
         self.routes.usable.update((need, now) for name, need in SIGNALS.items() if name in signals)
         if "motors" in signals:
@@ -343,7 +343,7 @@ class LinkedVehicle:
         )  # fmt: skip
 
     def _airframe(self, parameters: dict[str, float]) -> tuple | None:
-        """Everything in these parameters that decides how the vehicle is judged; None where they contradict its other messages."""
+        """Everything in these parameters that affects the evaluation of the vehicle; None where they contradict its other messages."""
         outputs, vehicle = self._wired(parameters), self._link.known
         if vehicle is None:
             try:
@@ -371,7 +371,7 @@ class LinkedVehicle:
 
     @property
     def empty(self) -> bool:
-        """True if it has sent nothing that could be judged."""
+        """True if it has sent nothing that could be evaluated."""
         return self.watched.session is None or self.watched.session.vehicle is None
 
 
@@ -389,7 +389,7 @@ class Link:
         self._notify, self._patience_s = tell, patience_s
         self._parsers: dict[Any, Any] = {}
         self._vehicles: dict[tuple[int, int], LinkedVehicle] = {}
-        self._fresh: dict[LinkedVehicle, None] = {}  # vehicles with new frames since they were judged
+        self._fresh: dict[LinkedVehicle, None] = {}  # vehicles with new frames since their last evaluation
         self._stepped = 0.0
         self._refused: set[int] = set()
         self._outside: dict[tuple[int, int], bytes] = {}  # heartbeats of vehicles beyond the limit

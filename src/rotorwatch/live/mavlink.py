@@ -18,7 +18,7 @@ from rotorwatch.logs import mavlink_esc, mavlink_frames, mavlink_messages, tlog
 AUTOPILOTS = {3: "ArduPilot", 12: "PX4"}
 UNKNOWN_S = 2.0  # silence after which the source of a signal is replaced
 RATE_S = 3.0  # window for rates
-MOST_ROWS = 5000  # of a message, before its vehicle can be judged
+MOST_ROWS = 5000  # of a message, before its vehicle can be evaluated
 MOST_PARAMETERS = 4096  # by name; autopilots have less than half
 SIGNALS = (
     "motors", "gyro", "accel", "attitude", "attitude_wanted", "velocity", "position", "battery", "vibration", "clipping", "innovations",

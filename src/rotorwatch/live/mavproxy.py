@@ -1,4 +1,4 @@
-"""A MAVProxy module: `module load rotorwatch` judges the vehicles that MAVProxy receives, and shows events in its console and on its
+"""A MAVProxy module: `module load rotorwatch` evaluates the vehicles that MAVProxy receives, and shows events in its console and on its
 map.
 
 MAVProxy calls `init` of the package (https://ardupilot.org/mavproxy/docs/development/gettingstarted.html). Its loop hands over frames and
@@ -101,7 +101,7 @@ class Places:
 
 
 class Watcher:
-    """The thread that judges the frames. news: texts to show; states: vehicle -> (state, a few words)."""
+    """The thread that evaluates the frames. news: texts to show; states: vehicle -> (state, a few words)."""
 
     def __init__(self, handed: Handed, places: Places, talks: bool = True, known: Path | None = None):
         self.news: deque[News] = deque(maxlen=NEWS)

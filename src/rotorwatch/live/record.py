@@ -1,4 +1,4 @@
-"""A link recorded as a telemetry log: a full disk ends the recording, never the judging."""
+"""A link recorded as a telemetry log: a full disk ends the recording, never the evaluation."""
 
 from __future__ import annotations
 

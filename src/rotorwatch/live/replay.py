@@ -1,4 +1,4 @@
-"""A recorded flight fed piece by piece, in real time, faster, or as fast as it is judged."""
+"""A recorded flight fed piece by piece, in real time, faster, or as fast as it can be processed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The addresses that send under one vehicle's id, and which of them is followed: one that sends what judging needs.
+"""The addresses that send under one vehicle's id, and the choice of the one to follow: one that sends the inputs of the evaluation.
 
 They may be two radios, a router's copy, another vehicle, or an impostor: heartbeats alone are not sufficient. The followed address stays
 while its samples are usable; frames of the others are left out.
@@ -28,7 +28,7 @@ MOST = 8  # addresses kept of a vehicle
 
 @cache
 def _needed() -> dict[int, str]:
-    """Message id -> the input of judging that it contains."""
+    """Message id -> the input of the evaluation that it contains."""
     layouts = tlog.layouts()
     return {layouts[name].id: need for need, names in NEEDS.items() for name in names if name in layouts}
 
@@ -55,7 +55,7 @@ class Route:
         return now - self.heard > SILENT_S
 
     def carries(self, now: float) -> bool:
-        """True if it sends what judging needs."""
+        """True if it sends the inputs of the evaluation."""
         return all(count >= LEAST and now - last <= SILENT_S for last, count in self._came.values())
 
     def __str__(self) -> str:
@@ -77,7 +77,7 @@ class Routes:
         return self._all.get(peer)
 
     def add(self, route: Route, now: float) -> bool:
-        """Add a route, in place of one that does not send what judging needs; False where there is no room."""
+        """Add a route, in place of one that does not send the inputs of the evaluation; False where there is no room."""
         if len(self._all) >= MOST:
             others = [r for r in self if r is not self.followed and not r.carries(now)]
             if not others:
@@ -95,14 +95,14 @@ class Routes:
         self.followed.doubted |= now - self.since > DOUBT_S
 
     def better(self, now: float, fails: bool) -> Route | None:
-        """Another route to follow. fails: the current one does not send what judging needs."""
+        """Another route to follow. fails: the current one does not send the inputs of the evaluation."""
         if not fails and not self.followed.doubted:
             return None
         others = [r for r in self._after() if r.carries(now) and (fails or not r.doubted)]
         return min(others, key=lambda r: r.doubted, default=None)
 
     def next(self, now: float) -> Route | None:
-        """The next route to send requests to, where none sends what judging needs."""
+        """The next route to send requests to, where none sends the inputs of the evaluation."""
         last = min(self.usable.get(need, -FADED_S) for need in NEEDS)
         if now - self.since <= TURN_S or now - last <= FADED_S or self.followed.carries(now):
             return None

@@ -1,4 +1,4 @@
-"""One vehicle on a link: its case, and its state in words for who watches."""
+"""Session of a vehicle on a link: its case, and its state in words for the observer."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from rotorwatch.flight.vehicle import Vehicle
 
 
 class Building:
-    """The diagnoser's code, loaded in a thread of its own, which ends with the program: where it is built for the first time that takes
-    seconds, in which a link must be read. Code that is half built is built again another time."""
+    """Loads the diagnoser's code in a thread of its own, which ends with the program: the first build takes seconds, during which the
+    link must be read. An incomplete build is repeated next time."""
 
     def __init__(self):
         self._thread = threading.Thread(target=lambda: ENGINE.library, daemon=True)
         self._thread.start()
 
     def done(self, wait: bool) -> bool:
-        """Whether it is there."""
+        """Return whether the code is loaded."""
         self._thread.join(None if wait else 0.0)
         return not self._thread.is_alive()
 
@@ -70,8 +70,8 @@ class Session:
             self.case.feed(*more)
 
     def advance(self, complete: float | None = None) -> bool:
-        """Judge what has become certain; whether there was a new tick. complete: time up to which all samples have been added, where that
-        is known; None on a link, where nothing may be waited for."""
+        """Evaluate the samples that have become certain; return whether there was a new tick. complete: time up to which all samples have
+        been added, where known; None on a link, where nothing may be waited for."""
         if self.case is None or not building().done(wait=complete is not None):
             return False
         return self.case.advance()
@@ -93,7 +93,8 @@ class Session:
 
     @property
     def doubt(self) -> str:
-        """Why what comes cannot be what flies, a sentence; empty while nothing contradicts it. Then nothing is concluded from it."""
+        """Why the samples cannot be of what flies, a sentence; empty while nothing contradicts them. With a doubt nothing is concluded
+        from them."""
         return "" if self.case is None else self.case.consistency.doubt
 
     @property
@@ -103,28 +104,28 @@ class Session:
 
     @property
     def judged(self) -> bool:
-        """Whether any tick has been judged."""
+        """Return whether any tick has been evaluated."""
         return self.ticks > 0
 
     @property
     def ticks(self) -> int:
-        """Ticks that have been judged."""
+        """Number of evaluated ticks."""
         return 0 if self.case is None else self.case.ticks
 
     @property
     def limits(self) -> str:
-        """What cannot be seen at the rate of this link, a sentence; empty where that is no limit, or not known yet."""
+        """A sentence on the limits of this link's rate; empty where it is no limit, or not known yet."""
         plan = None if self.case is None else self.case.plan
         return next((note for note in plan.notes if "are judged every" in note), "") if plan is not None else ""
 
     @property
     def missing(self) -> tuple[Gap, ...]:
-        """Commands that the link has not brought for long, in the flight that goes on or was the last."""
+        """Commands that the link has not delivered for long, in the current or last flight."""
         return () if self.case is None else self.case.driver.missing
 
     @property
     def unseen(self) -> str:
-        """The same in words, empty where it brings all."""
+        """The same in words, empty where none is missing."""
         who = [rotor for gap in self.missing for rotor in gap.rotors]
         return f"no command for {rotors(who)}" if who else ""
 
@@ -134,7 +135,7 @@ class Session:
 
     @property
     def spans(self) -> tuple[tuple[float, float], ...]:
-        """(start, end) [s] of each flight so far; infinite end: it flies."""
+        """(start, end) [s] of each flight so far; infinite end while airborne."""
         return () if self.case is None else self.case.air
 
     @property
@@ -160,7 +161,7 @@ class Session:
         return (tuple(found), ()) if self.case is None else self.case.weighed(found)
 
     def blind(self) -> str:
-        """Why nothing can be judged right now, in a few words; empty when it is judged."""
+        """Why nothing can be evaluated right now, in a few words; empty when it is evaluated."""
         case = self.case
         if case is None:
             return "no motor outputs yet"

@@ -114,12 +114,13 @@ def watch(
 ) -> None:  # fmt: skip
     """Watch until all sources have ended, for so many seconds, until `ends`, or until the program is asked to end.
 
-    show: called with the sources a few times a second. outlets: called by the loop; alerts come to them by the sources' `notify`. guard:
-    runs everything but the judging."""
+    show: called with the sources a few times a second. outlets: called by the loop; alerts reach them by the sources' `notify`. guard:
+    runs everything but the evaluation.
+    """
     guard = Guard(lambda text: None) if guard is None else guard
     watched = [source.source for source in sources]
     gc.collect()
-    gc.freeze()  # loaded modules stay: collecting them repeatedly would stop the judging for tenths of a second
+    gc.freeze()  # loaded modules stay: collecting them repeatedly would stop the evaluation for tenths of a second
     alive, last_shown, stepped, began = list(sources), 0.0, 0.0, time.monotonic()
     with _end_requested() as requested:
         try:

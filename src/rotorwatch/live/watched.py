@@ -82,7 +82,7 @@ class Watched:
 
     def __init__(self, name: str, notify: Notify, vehicle: Vehicle | None = None):
         self.name, self.health, self.trouble, self.notice = name, Health(), "", ""
-        self.gone = ""  # inputs of judging that no longer come, in a few words
+        self.gone = ""  # inputs of the evaluation that no longer come, in a few words
         self.broken = False  # by an internal error, not for the vehicle's kind
         self._notify, self._vehicle = notify, vehicle
         self.session: Session | None = None
@@ -113,12 +113,12 @@ class Watched:
             self.fail(why)
 
     def fail(self, why: Exception) -> None:
-        """The vehicle can no longer be judged."""
+        """The vehicle can no longer be evaluated."""
         self.trouble, self.broken = trouble(why), not isinstance(why, RotorwatchError)
         self.say(self.trouble, "error")
 
     def advance(self, complete: float | None = None) -> bool:
-        """Judge new samples; return whether there was a tick."""
+        """Evaluate new samples; return whether there was a tick."""
         if self.session is None or self.trouble:
             return False
         try:
@@ -158,7 +158,7 @@ class Watched:
             self.fail(why)
 
     def withdraw(self) -> None:
-        """Withdraw all alerts of this flight: it was judged with the wrong vehicle."""
+        """Withdraw all alerts of this flight: it was evaluated with the wrong vehicle."""
         for change in self.changes.since_last(()):
             self._alert(change)
 

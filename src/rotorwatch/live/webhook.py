@@ -1,4 +1,4 @@
-"""Alerts posted to a web address by a thread of its own: a slow or unreachable server never delays the judging.
+"""Alerts posted to a web address by a thread of its own: a slow or unreachable server never delays the evaluation.
 
 Uses the standard library's client: an alert is one POST a few times a minute, and a library would not provide the bounded queue and the
 growing pauses.

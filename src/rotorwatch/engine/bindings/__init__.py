@@ -3,7 +3,7 @@
 plant_rows.py         the plant's inputs as arrays
 hypothesis_list.py    the hypotheses of a vehicle
 program.py            the default estimator over ticks
-default.py            the same as one method among others
+default.py            the same as an interchangeable method
 learning.py           noise and gains from healthy flights
 event_rows.py         the definitions' losses and events, in words
 residual_evidence.py  evidence that no event explains

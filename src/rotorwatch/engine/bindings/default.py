@@ -15,16 +15,16 @@ from rotorwatch.engine.motion.tick_table import GROUND
 
 
 class Default:
-    """The default estimator as `core.Estimator` has it, a tick at a time: for who steps methods by their names.
+    """The default estimator as a `core.Estimator`, one tick at a time: for callers that select methods by name.
 
-    B (4, n): geometry; dt: length of a tick, s. u (n + 15,), y (4,), valid (4,): a row of
-    `program.inputs`."""
+    B (4, n): geometry; dt: length of a tick, s. u (n + 15,), y (4,), valid (4,): a row of `program.inputs`.
+    """
 
     name = "default"
     not_kalman = "a loss enters its state only once it is announced, and its noise is learned on the way"
 
     def __init__(self, B, dt: float = 0.05, dynamics=None):
-        """dynamics: what `learn` found. Raises ConfigError for ticks of another length."""
+        """dynamics: result of `learn`. Raises ConfigError for ticks of another length."""
         self.B, self.dt, self.dynamics = np.asarray(B, float), dt, dynamics
         self._steps = program.steps(dt, self.B, dynamics)
         self._first = self._steps.state.copy()
@@ -34,7 +34,7 @@ class Default:
         return self._first
 
     def step(self, carry: Rows, u, y, valid, dt=None) -> tuple[Rows, Estimate]:
-        """One tick; `carry` stays as it is."""
+        """Process a tick; `carry` is not changed."""
         made, n = self._steps, self._steps.rotors
         made.state = carry.copy()
         out = made.run(np.asarray(u)[None], np.asarray(y)[None], np.asarray(valid)[None])

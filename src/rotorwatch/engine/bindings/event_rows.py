@@ -1,6 +1,6 @@
 """From the estimator's ticks to events: the definitions of engine/events/losses.py and engine/events/events.py, in words.
 
-What happened, and which explanations are left, is the estimator's, live; here it is only written down.
+The estimator decides, live, which faults occurred and which explanations remain; this module only records them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, kind_of
 
-# Numbers, of 16 bits, that stand for unknown kinds, for what became of an output and for causes: each its own, while the process lasts.
+# 16-bit codes of unknown kinds, of output states and of causes: unique within the process.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
 COLUMNS = ("theta", "theta_sd", "active", "share", "gives", "onsets", "probability", "announced")
 ROOM = 512  # ticks in one call
-HINDSIGHT = "hindsight"  # name of the source of losses in the blind time, found afterwards
+HINDSIGHT = "hindsight"  # source name of losses in the blind time, found afterwards
 
 
 def _found_in_hindsight(claim: Event, known: Event) -> bool:
@@ -49,14 +49,14 @@ def _trim_explained(claim: Event, known: Event) -> bool:
 
 TRIM = Source("trim", 10, _trim_explained)
 OUTPUTS, CONTACTS = Source("outputs", 4), Source("contacts", 5)
-SHOWN_S = 2.0  # after an announcement: the loss that was shown then
+SHOWN_S = 2.0  # after an announcement: the loss shown then
 
 
 class Losses:
     """The losses of one vehicle with effectiveness B (4, n), tick by tick."""
 
     def __init__(self, B: np.ndarray, state: Rows | None = None):
-        """state: where they are written down; None: anew."""
+        """state: where they are recorded; None: a new one."""
         self.craft = vehicle(B)
         self.state = ENGINE.new(losses.Losses) if state is None else state
 
@@ -73,27 +73,27 @@ class Losses:
 
     @property
     def announcements(self) -> int:
-        """How often something has been announced."""
+        """Number of announcements so far."""
         return int(self.state["announcements"][0])
 
     def events(self, flies: bool = False) -> tuple[Event, ...]:
-        """The losses so far. flies: the flight goes on, and what was announced a moment ago may still turn out to be a pair."""
+        """The losses so far. flies: the flight continues, and a recent announcement may still turn out to be a pair."""
         return _in_words(self.rows(flies)) if self.announcements else ()
 
     def rows(self, flies: bool = False) -> Rows:
-        """The same as the definition has them."""
+        """The same in the definition's form."""
         rows = ENGINE.array(definition.Event, RECORDS)
         return rows.cut(ENGINE.call(calls.losses, self.state, self.craft, flies, rows))
 
 
 def vehicle(B: np.ndarray) -> Rows:
-    """What events need to know of a vehicle with effectiveness B (4, n)."""
+    """The data that events need of a vehicle with effectiveness B (4, n)."""
     return craft(B.shape[1], effectiveness=B, coaxial=lower_rotors(B) is not None)
 
 
 def read(out, ticks: Ticks, B: np.ndarray, state: Losses | None = None) -> tuple[Event, ...]:
-    """Losses of one flight of a vehicle with effectiveness B (4, n), from the estimator's stacked outputs (COLUMNS). state: where they are
-    written down already."""
+    """Losses of one flight of a vehicle with effectiveness B (4, n), from the estimator's stacked outputs (COLUMNS). state: where they
+    are already recorded."""
     if not np.asarray(out.announced).any():
         return ()
     if state is None:
@@ -104,7 +104,7 @@ def read(out, ticks: Ticks, B: np.ndarray, state: Losses | None = None) -> tuple
 
     def shown(event: Event) -> list[float]:
         k = min(int(np.searchsorted(ticks.time, event.detected_s)) + round(SHOWN_S / ticks.dt), final)
-        # With the digits of the JSON: rounded again to per cent, page and JSON then show the same.
+        # Rounded as in the JSON: page and JSON then round alike to per cent.
         return [round(float(v), 4) for v in out.theta[k, [r - 1 for r in event.rotors]]]
 
     return tuple(replace(e, extra={**e.extra, "loss_2s": shown(e)}) for e in state.events())
@@ -120,13 +120,13 @@ def rotor_sets(hyp: Hypotheses, probability: np.ndarray) -> dict[tuple[int, ...]
 
 
 def opposites(B: np.ndarray) -> dict[int, tuple[int, ...]]:
-    """For each rotor the rotors that cancel its roll and pitch torque: with those it can share a loss almost unseen."""
+    """For each rotor the rotors that cancel its roll and pitch torque: a loss shared with those is hardly visible."""
     known = vehicle(B)
     return {i: _rotors(ENGINE.call(losses.opposite_of, known, i)) for i in range(B.shape[1])}
 
 
 def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Standard deviation of losses (any shape) with what the model of a vehicle with effectiveness B (4, n) is uncertain of."""
+    """Standard deviation of losses (any shape), including the model uncertainty of a vehicle with effectiveness B (4, n)."""
     theta, sd = np.broadcast_arrays(np.asarray(theta, float), np.asarray(sd, float))
     flat, out = (np.ascontiguousarray(theta.ravel()), np.ascontiguousarray(sd.ravel())), np.empty(theta.size)
     ENGINE.call(losses.spread, vehicle(B), theta.size, *flat, out)
@@ -134,7 +134,8 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray) -> np.ndarray:
 
 
 def accuses(event: Event) -> bool:
-    """Is it an accusation? A loss that may be nothing, by its interval, and is said of one set of rotors alone is evidence, no more."""
+    """Return whether a loss accuses a rotor. A loss whose interval includes zero, and attributed to one set of rotors alone, is
+    only evidence."""
     return bool(event.alternatives) or max(low for low, _ in event.interval) > 0.0
 
 
@@ -147,13 +148,13 @@ class Report:
     """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together."""
 
     def __init__(self, B: np.ndarray, state: Rows | None = None, contacts: tuple[Contact, ...] = ()):
-        """state: where they are written down; None: anew. contacts: of the ticks before."""
+        """state: where they are recorded; None: a new one. contacts: of the ticks before."""
         self.craft = vehicle(B)
         self.state = ENGINE.new(definition.Report) if state is None else state
         self._contacts = contacts
 
     def add(self, table: Ticks, air: Sequence[tuple[float, float]]) -> Report:
-        """More ticks. air: all flights so far, (start, end) s, infinite where it lasts. This report."""
+        """Add ticks. air: all flights so far, (start, end) s, infinite end while airborne. Returns this report."""
         same = next((k for k, (a, b) in enumerate(zip(self._contacts, table.contacts)) if a != b), len(self._contacts))
         fresh, self._contacts = table.contacts[same:], table.contacts
         hits = np.array([(c.time, c.push, c.size) for c in fresh], float).reshape(-1, 3).T
@@ -161,7 +162,7 @@ class Report:
         return self
 
     def finish(self, air: Sequence[tuple[float, float]]) -> Report:
-        """No ticks come after these. This report."""
+        """No ticks follow. Returns this report."""
         self._follow(np.empty(0), np.empty(0, bool), 0.0, air, np.empty((3, 0)), final=True)
         return self
 
@@ -171,8 +172,8 @@ class Report:
         ENGINE.call(calls.follow, self.state, *rows, hits.shape[1], hits[0].copy(), hits[1].astype(np.int32), hits[2].copy(), final)
 
     def events(self, lost: Sequence[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
-        """All events, in the order in which they were detected: the losses that accuse and that no overridden output explains, the outputs
-        that left the mixer, and the contacts, but for what is the fall or the landing."""
+        """All events, in the order in which they were detected: the losses that accuse and that no overridden output explains, the
+        outputs that left the mixer, and the contacts, except those that are the fall or the landing."""
         rows, outputs = (ENGINE.array(definition.Event, EVENTS), ENGINE.array(deviations.Override, max(1, len(overridden))))
         outputs.fill(
             onset=np.array([o.onset_s for o in overridden]), detected=np.array([o.detected_s for o in overridden]),
@@ -193,7 +194,7 @@ class Report:
 
 
 def shared(event: Event) -> bool:
-    """Did several outputs leave the mixer together? Then the log is wrong, and no rotor: that is no event, and explains losses."""
+    """Return whether several outputs left the mixer together: the log is wrong, not a rotor. That is no event, and explains losses."""
     return bool(event.extra.get("shared"))
 
 
@@ -219,8 +220,8 @@ def _one_arm(event: Event) -> Event:
 
 
 def packed(events: Sequence[Event], room: int = 1) -> Rows:
-    """Events as the definitions take them, in `room` rows at least; detail: a number for what became of an output, for a cause or a
-    trouble; source: the place of each."""
+    """Events in the definitions' form, in `room` rows at least; detail: a code of the output's state, of a cause or a trouble; source:
+    the index of each."""
     rows = ENGINE.array(definition.Event, max(room, len(events)))
     if not events:
         return rows
@@ -266,12 +267,12 @@ def _rotors(mask: int, first: int = 0) -> tuple[int, ...]:
 
 
 def _in_words(rows: Rows) -> tuple[Event, ...]:
-    """Losses as people read them."""
+    """Losses in readable form."""
     return tuple(_loss(_Row(*values)) for values in zip(*(rows[name].tolist() for name in _Row._fields)))
 
 
 class _Row(NamedTuple):
-    """A loss as compiled code has it: sets of rotors as masks, lists longer than what is in them."""
+    """A loss in the compiled layout: sets of rotors as masks, lists of fixed capacity."""
 
     onset: float
     detected: float

@@ -1,4 +1,4 @@
-"""What the columns of the evidence stand for: the hypotheses of `engine.estimator.hypotheses` as a table, in words."""
+"""Meaning of the columns of the evidence: the hypotheses of `engine.estimator.hypotheses` as a table, in words."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ AXES = ("roll", "pitch", "yaw", "common mode")
 
 
 class Hypotheses(NamedTuple):
-    """All hypotheses of an n-rotor vehicle, a column each: names; kinds, of KINDS; rotors: 0-based sets; fault (n_h,): bool; weight (n_h,):
-    prior weights. pairs (n_pairs, 2): rotors. blocks: of each disturbance, the last columns, the axes that it steps."""
+    """All hypotheses of an n-rotor vehicle, a column each: names; kinds, of KINDS; rotors: 0-based sets; fault (n_h,): bool; weight
+    (n_h,): prior weights. pairs (n_pairs, 2): rotors. blocks: of each disturbance, the last columns, the axes of its step."""
 
     n: int
     names: tuple[str, ...]
@@ -29,7 +29,7 @@ class Hypotheses(NamedTuple):
 
 @functools.cache
 def list_hypotheses(n: int) -> Hypotheses:
-    """Singles, pairs, a rotor well again, one that gives one thrust, and disturbances."""
+    """List single losses, pairs, recoveries, rotors with constant thrust, and disturbances."""
     every = range(hypothesis_count(n))
     numbers = [kind_of(n, h) for h in every]
     rotors = tuple(tuple(i for i in (rotor_of(n, h), other_rotor_of(n, h)) if i >= 0) for h in every)

@@ -1,4 +1,4 @@
-"""What healthy flights teach the default estimator: what this vehicle is like, and how noisy."""
+"""Learn the default estimator's gains and noise of a vehicle from healthy flights."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rotorwatch.engine.motion.tick_table import JUDGE, TICKS_S, Ticks
 
 FLIGHTS_DIFFER = 0.25
 LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
-# Variances grow by factors: one learned as nothing could never be anything in a rougher flight.
+# Variances grow by factors: one learned as zero could never grow in a rougher flight.
 LEAST_SHARE = 0.05
 
 
 def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
-    """What healthy flights teach: x0 (20), P0 (20, 20), noise (4, 4), noise_weight; None when none of them is long enough.
+    """Learn from healthy flights: x0 (20), P0 (20, 20), noise (4, 4), noise_weight; None when none of them is long enough.
 
-    Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are left open: they are
-    each flight's own. Noise: the largest of the flights', per component and axis.
+    Gains and damping: precision-weighted mean over the flights, with their spread added. Biases are not learned: each flight has its own.
+    Noise: the largest of the flights', per component and axis.
     """
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     means, precisions, noises, shares = [], [], [], []
@@ -32,7 +32,7 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         means.append(np.asarray(carry.s)[rows])
         precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
         noises.append(np.asarray(carry.variances))
-        # How the thrust curve is bent, what air takes and, on coaxial frames, the lower rotors' share.
+        # Shape of the thrust curve, effect of the air and, on coaxial frames, the lower rotors' share.
         shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, AIR, SHARE)])
     if not means:
         return None
@@ -42,11 +42,11 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     spread = np.average((np.array(means) - mean) ** 2, axis=0, weights=precisions)
     x0, P0 = any_multirotor(B.shape[1])
     x0[rows] = mean
-    # Few flights do not show how much flights differ: until many do, part of what vehicles differ by is left open.
+    # Few flights do not show the variation between flights: until there are many, part of the variation between vehicles is kept.
     open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
     variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
     P0[rows[:, None], rows] = np.diag(variance)
-    # ... nor how much the thrust curve, the air and the lower rotors' share do.
+    # ... and likewise for the thrust curve, the air and the lower rotors' share.
     own = [[float(m), float(v + s)] for (m, v), s in zip(np.mean(shares, axis=0), np.var(shares, axis=0)[:, 0])]
     known = {"curve": own[0], "air": own[1], **({"share": own[2]} if lower_rotors(B) is not None else {})}
     return {

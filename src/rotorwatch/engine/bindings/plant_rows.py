@@ -1,7 +1,7 @@
-"""The estimator's plant in arrays: its prior for any multirotor, its inputs out of ticks, and which rotors stand where.
+"""The estimator's plant in arrays: its prior for any multirotor, its inputs from ticks, and the lower rotors of coaxial frames.
 
-engine/estimator/plant.py has its equation and its constants. The state is the same: (b1, b2, b3, G, c) of each axis, in the last place of
-thrust, which has no damping, the side force; then the thrust curve, the air and the lower rotors' share.
+engine/estimator/plant.py has its equation and its constants. The state is the same: (b1, b2, b3, G, c) of each axis, where for thrust,
+which has no damping, the last one is the side force; then the thrust curve, the air and the lower rotors' share.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def packed(ticks, n: int) -> np.ndarray:
 
 
 def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """(mean (20,), covariance (20, 20)) of the state before anything is known of a vehicle with n rotors."""
+    """(mean (20,), covariance (20, 20)) of the prior state of an unknown vehicle with n rotors."""
     mean, P = np.zeros((4, PER_AXIS)), np.zeros((4, PER_AXIS, 4, PER_AXIS))
     for axis in range(4):
         gain, sd = (n * definition.GAIN_MEAN[axis], n * definition.GAIN_SD[axis]) if axis < 3 else (1.0, definition.GAIN_SD[axis])
@@ -44,7 +44,7 @@ def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lower_rotors(B: np.ndarray) -> np.ndarray | None:
-    """(n,) 1 for each rotor that stands where a stronger one does: the lower ones of coaxial arms. None where there are none."""
+    """(n,) 1 for each rotor at the place of a stronger one: the lower ones of coaxial arms. None where there are none."""
     place = B[:2] / B[3]
     one_arm = abs(place[:, :, None] - place[:, None, :]).max(axis=0) < ONE_ARM
     lower = (one_arm & (B[3][None, :] > 1.02 * B[3][:, None])).any(axis=1)
@@ -52,15 +52,15 @@ def lower_rotors(B: np.ndarray) -> np.ndarray | None:
 
 
 def any_curve() -> np.ndarray:
-    """(2,) mean and variance of how much a thrust curve is bent, before anything has been seen of it."""
+    """(2,) prior mean and variance of the thrust curve's bend."""
     return np.array([0.0, 1.0])
 
 
 def any_air() -> np.ndarray:
-    """(2,) mean and variance of what air along the thrust axis takes, before anything has been seen of it."""
+    """(2,) prior mean and variance of the effect of air along the thrust axis."""
     return np.array([definition.INFLOW, definition.INFLOW_SD**2])
 
 
 def usual_gains(n: int) -> np.ndarray:
-    """(4,) gains of an n-rotor vehicle that nothing is known of."""
+    """(4,) gains of an unknown n-rotor vehicle."""
     return any_multirotor(n)[0].reshape(4, PER_AXIS)[:, GAIN]

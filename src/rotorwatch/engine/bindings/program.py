@@ -25,7 +25,7 @@ PIECE = 256  # ticks in one call
 
 
 class TickOutput(NamedTuple):
-    """Outputs of T ticks; `engine.estimator.Result` says what they are, its shapes are these of one tick."""
+    """Outputs of T ticks; `engine.estimator.Result` describes them, with the shapes of one tick."""
 
     theta: Array
     theta_sd: Array
@@ -49,7 +49,7 @@ class TickOutput(NamedTuple):
 
 
 def blank(T: int, hyp: Hypotheses) -> TickOutput:
-    """T ticks on which nothing was seen; what only the default method looks at stays so."""
+    """T ticks without evidence; fields that only the default method uses stay so."""
     n, n_h = hyp.n, len(hyp.names)
     numbers = {
         "theta": (n,), "theta_sd": (n,), "innovation": (4,), "biases": (4,), "onset": (), "onsets": (PLACES,),
@@ -65,8 +65,8 @@ def blank(T: int, hyp: Hypotheses) -> TickOutput:
 
 
 class Learned(NamedTuple):
-    """What the estimator has come to: state s = [x; theta] of the explanation that leads, its covariance, and the noise' variances (4
-    components, 4 axes)."""
+    """Present estimate: state s = [x; theta] of the leading explanation, its covariance, and the variances of the noise (4 components, 4
+    axes)."""
 
     s: Array
     P: Array
@@ -74,7 +74,7 @@ class Learned(NamedTuple):
 
     @property
     def spread(self) -> np.ndarray:
-        """(4,) variance of everything but white noise over ten seconds: how large this aircraft's disturbances are (`Noise.spread`)."""
+        """(4,) variance of everything but white noise over ten seconds: the size of this aircraft's disturbances (`Noise.spread`)."""
         return self.variances[1] + self.variances[2] + 5.0 * self.variances[3]
 
 
@@ -86,8 +86,8 @@ def inputs(table: Ticks, B: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
-    """The arrays the estimator is built from: geometry B (4, n), length of a tick dt [s], and what `learn` found or any multirotor is
-    like; on coaxial frames which rotors are the lower ones, and what is known of their share. Raises ConfigError for other ticks."""
+    """The arrays that the estimator is built from: geometry B (4, n), length of a tick dt [s], and the result of `learn` or the prior of
+    any multirotor; on coaxial frames the lower rotors and the prior of their share. Raises ConfigError for other ticks."""
     lower, coaxial = lower_rotors(B), {}
     if lower is not None:
         coaxial = {"lower": lower, "share": np.array((dynamics or {}).get("share", [0.0, plant.SHARE_SD**2]), float)}
@@ -110,7 +110,7 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
 
 
 def threshold(n: int, dt: float) -> float:
-    """Nats that the evidence of all faults of n rotors has to reach in ticks of dt seconds before one is announced."""
+    """Threshold [nats] of the evidence of all faults of n rotors for an announcement, in ticks of dt seconds."""
     vehicle = Plant()
     vehicle.rotors, vehicle.dt = n, dt
     return announcement.threshold(vehicle, announcement.GATES * FALSE_ALARM_PERIOD_S)
@@ -126,7 +126,7 @@ def balance(u: np.ndarray, vehicle: running.Rows) -> tuple[np.ndarray, np.ndarra
 
 
 def noise_of(u: np.ndarray, y: np.ndarray, valid: np.ndarray, flying: np.ndarray, vehicle: running.Rows) -> np.ndarray:
-    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less what they take; flying (T,); else as `balance`."""
+    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less their effect; flying (T,); else as `balance`."""
     n, model = int(vehicle["rotors"][0]), ENGINE.new(noise.Noise)
     tables = u[:, : n + 13].astype(float), y.astype(float), valid.astype(bool), flying.astype(bool)
     ENGINE.call(known.learn, vehicle, len(u), *map(np.ascontiguousarray, tables), model)
@@ -134,14 +134,14 @@ def noise_of(u: np.ndarray, y: np.ndarray, valid: np.ndarray, flying: np.ndarray
 
 
 def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress: Callable[[float], object] | None = None):
-    """Run the default estimator over ticks: (`Learned`, `TickOutput` stacked). Raises ConfigError for ticks of no length that is known."""
+    """Run the default estimator over ticks: (`Learned`, `TickOutput` stacked). Raises ConfigError for ticks of an unknown length."""
     made = steps(table.dt, B, dynamics)
     out = made.run(*inputs(table, B), progress)
     return made.learned, out
 
 
 def steps(dt: float, B: np.ndarray, dynamics=None) -> Steps:
-    """The default estimator for ticks of dt seconds, gone on with as ticks come; `inputs` makes its rows. Raises ConfigError."""
+    """The default estimator for ticks of dt seconds, continued as ticks come; `inputs` makes its rows. Raises ConfigError."""
     return Steps(parameters(B, dt, dynamics))
 
 
@@ -155,13 +155,13 @@ class Steps:
         ENGINE.call(batch.begin, self.plant, self.state)
 
     def raise_threshold(self, nats: float) -> None:
-        """Ask so much more of an announcement from now on."""
+        """Raise the threshold of announcements by so much from now on."""
         alarm = self.state.part("alarm")
         alarm.set(limit=float(alarm["limit"][0]) + nats)
 
     @property
     def learned(self) -> Learned:
-        """What it has come to."""
+        """Present estimate."""
         return learned(self.state, self.rotors)
 
     def run(self, u: np.ndarray, y: np.ndarray, valid: np.ndarray, progress=None) -> TickOutput:
@@ -179,7 +179,7 @@ class Steps:
 
 
 def square(kept: np.ndarray, n: int) -> np.ndarray:
-    """Symmetric matrices (..., n, n) of what the definitions keep of them: row by row, each up to its diagonal."""
+    """Symmetric matrices (..., n, n) from the definitions' storage: row by row, each up to its diagonal."""
     rows, columns = np.tril_indices(n)
     found = np.empty((*kept.shape[:-1], n, n))
     found[..., rows, columns] = found[..., columns, rows] = kept[..., : len(rows)]
@@ -187,7 +187,7 @@ def square(kept: np.ndarray, n: int) -> np.ndarray:
 
 
 def learned(state: running.Rows, rotors: int) -> Learned:
-    """What the estimator has come to."""
+    """Present estimate."""
     states = estimator_sizes.PLANT_STATES + rotors
     leader = state.part("branches").part("all")
     s, P = leader["s"][0, :states], square(leader["P"][0], states)
@@ -201,7 +201,7 @@ def outputs(results: running.Rows, count: int, rotors: int) -> TickOutput:
 
 @functools.cache
 def _outputs(rotors: int) -> list[tuple[str, tuple[slice, ...]]]:
-    """(name, how much of it a vehicle with so many rotors has) of each output of a tick, of many ticks."""
+    """(name, used length for a vehicle with so many rotors) of each output of a tick, of many ticks."""
     fitting = {estimator_sizes.ROTORS: rotors, estimator_sizes.HYPOTHESES: hypothesis_count(rotors)}
     kinds = ENGINE.type_of(estimator.Result)
     return [(name, tuple(slice(0, size) for size in (None, *(fitting.get(k, k) for k in kinds[name].shape)))) for name in kinds.names or ()]

@@ -1,9 +1,9 @@
-"""The estimator's evidence that is left after all events are written down: faults over the threshold that were never announced.
+"""Evidence of the estimator that remains after all events are recorded: faults over the threshold that were never announced.
 
-Announcing asks for more than a threshold: one hypothesis that beats every disturbance for a while, and a motion that fits it. Beside
-a loss that is already known, or with the vehicle at its limits, that may never be met although a second rotor is failing. Its evidence
-is then absorbed as a disturbance, and calling the rotor healthy would be wrong. The same where the trim is learned afresh after a contact,
-and comes out changed as by a rotor's loss. Such a spell is not an event - which rotor, and how much, remains open - but it is reported.
+An announcement needs more than a threshold: one hypothesis that beats every disturbance for a while, and a motion that fits it. Beside a
+loss that is already known, or with the vehicle at its limits, that may never be met although a second rotor is failing. Its evidence is
+then absorbed as a disturbance, and calling the rotor healthy would be wrong. Likewise where the trim is learned again after a contact,
+and has changed as by a rotor's loss. Such a period is not an event - which rotor, and how much, remains open - but it is reported.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def _residual_explained(claim: Event, known: Event) -> bool:
 
 RESIDUAL = Source("residual", 12, _residual_explained)
 LASTS_S = 1.0
-TRIM_S = 2.0  # over which the trim before and after it was learned afresh is averaged
-# By how much the commanded wrench of trim is uncertain, in hover thrusts of one rotor, and how much of its change a rotor must explain.
+TRIM_S = 2.0  # averaging time of the trim before and after it was learned again
+# Uncertainty of the commanded wrench of trim, in hover thrusts of one rotor, and the share of its change that a rotor must explain.
 TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])
 LEAST_TRIM, UNEXPLAINED = 0.2, 0.52
 
@@ -39,16 +39,14 @@ def claim(
     probability: float = 0.5,
     source: Source = RESIDUAL,
 ) -> Event:
-    """Evidence against each of these rotors (1-based), from start to end [s]; interval: of what each would have lost, 95 %, where that is
-    known."""
+    """Evidence against each of these rotors (1-based), from start to end [s]; interval: of the loss of each, 95 %, where known."""
     return Event(EVIDENCE, rotors, start_s, end_s, end_s, (), interval, probability, source=source)
 
 
 def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Event], B: np.ndarray | None = None) -> tuple[Event, ...]:
-    """Spells of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
-    `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned afresh and changed as a
-    rotor's loss would change them. None in flights without an event: what they hide is `answer.unseen`'s. out: the estimator's stacked
-    outputs."""
+    """Periods of at least LASTS_S, after the first event, in which faults of other rotors than the known ones have more evidence than
+    `limit` [nats] and no disturbance explains them clearly better; and, with B (4, n), trims that were learned again and changed as by a
+    rotor's loss. None in flights without an event: `answer.unseen` covers these. out: the estimator's stacked outputs."""
     known = [e for e in events if e.means.lasting_fault]
     if not known:
         return ()
@@ -85,7 +83,7 @@ def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Even
 
 
 def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
-    """Whether the evidence at these times [s] speaks of a knock among the events, which leaves it behind."""
+    """Return whether a knock among the events explains the evidence at these times [s], which it leaves behind."""
     near = np.zeros(np.shape(time), bool)
     for e in events:
         if e.kind == CONTACT:
@@ -94,7 +92,7 @@ def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
 
 
 def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[Event, ...]:
-    """Spells of `losses` that accuse nobody (`events.accuses`), but for those that a knock among the events explains."""
+    """Losses that accuse no rotor (`events.accuses`), except those explained by a knock among the events."""
     knocks = [e.onset_s for e in found if e.kind == CONTACT]
     return tuple(
         claim(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
@@ -104,7 +102,7 @@ def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tupl
 
 
 def _trims(biases: np.ndarray, table: Ticks, known: Sequence[Event], B: np.ndarray) -> list[Event]:
-    """Times after an event when the vehicle flew on but was not judged, and the commanded wrench of trim, biases (T, 4), came out changed
+    """Times after an event when the vehicle flew on without evaluation, and the commanded wrench of trim, biases (T, 4), had then changed
     along the direction of rotors, columns of B (4, n)."""
     time, judging = table.time, table.mode == JUDGE
     stops = np.flatnonzero(judging[:-1] & ~judging[1:])

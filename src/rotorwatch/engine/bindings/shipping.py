@@ -1,7 +1,7 @@
-"""Machine code built for whoever installs rotorwatch: `python -m rotorwatch.engine.bindings.shipping FOLDER`.
+"""Build machine code for distribution: `python -m rotorwatch.engine.bindings.shipping FOLDER`.
 
-The build of the package calls it (hatch_build.py). What is made of definitions (docs/one-definition.md): the front end, the estimator, the
-decoder of Blackbox logs and the walk over ULogs, one library each.
+The build of the package calls it (hatch_build.py). Compiled from definitions (docs/one-definition.md): the front end, the estimator, the
+decoder of Blackbox logs and the ULog parser, one library each.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ DEFINITIONS = (ENGINE, BLACKBOX, ULOG)
 
 
 def levels(portable: bool) -> tuple[str, ...]:
-    """Levels of processors to build for: all that this kind of computer has, or the best that this one runs."""
-    if toolchain.processor() != platform.machine():  # for another computer: all levels that its kind has
+    """Processor levels to build for: all of this kind of computer, or the best that this one runs."""
+    if toolchain.processor() != platform.machine():  # for another computer: all levels of its kind
         return tuple(shipped.LEVELS) if toolchain.processor() == "x86_64" else (shipped.BASELINE,)
     runs = shipped.levels()
     return tuple(shipped.LEVELS) if portable and runs[0] != shipped.BASELINE else runs[:1]
 
 
 def ship(folder: Path, portable: bool = False) -> None:
-    """Make the libraries in a folder, as `compiling.running` reads them. portable: for every processor of this kind; else for this
+    """Build the libraries in a folder, as `compiling.running` reads them. portable: for every processor of this kind; else for this
     computer. Raises toolchain.Unavailable without a compiler."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -39,7 +39,7 @@ def ship(folder: Path, portable: bool = False) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """FOLDER [--portable]: build. 3, with one sentence, where this computer cannot."""
+    """FOLDER [--portable]: build. Returns 3, with one sentence, where this computer cannot."""
     try:
         ship(Path(arguments[0]), "--portable" in arguments[1:])
     except RotorwatchError as why:

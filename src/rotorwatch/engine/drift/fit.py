@@ -1,7 +1,7 @@
-"""How likely the trim is, as a random walk and white noise with one ratio of the two, beside any explanation.
+"""Likelihood of the trim as random walk plus white noise with one ratio of the two, beside any explanation.
 
-What is whitened is what a Kalman filter of the walk leaves over: gain and variance are the same for every column. Levels and
-manoeuvres are integrated out, as columns of which nothing, or GAIN, is known: with G, the products of all columns, whitened,
+A Kalman filter of the walk whitens: its gain and variance are the same for every column. Levels and manoeuvres are integrated out as
+columns with a flat prior, or with standard deviation GAIN. With G, the products of all whitened columns,
 
     <a, b> = a b - (a G) (G + 1 / known)^-1 (G b)
 """
@@ -12,30 +12,31 @@ from rotorwatch.base.compiling.structs import REAL, TIME, Real, Reals, Struct, T
 from rotorwatch.engine.drift.drift_sizes import BLOCKS, ROWS, STEADY
 from rotorwatch.engine.drift.stretch import LEVEL, Stretch
 
-# Variance of the white noise to that of a step of the walk, and its prior: what wanders is believed to unless the data say otherwise, as a
-# walk taken for white noise makes false trends.
+# Variance of the white noise over that of a step of the walk, and its prior: wandering is assumed unless the data contradict it, because
+# a walk taken for white noise makes false trends.
 WHITE = (0.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 DOUBT = 0.2  # prior of each relative to the one before it
-GAIN = 0.2  # standard deviation of what gains are off by
-# Squares of a column that others do not explain, as a share and in all, below which it is one of them, or nothing.
+GAIN = 0.2  # standard deviation of gain errors
+# Sum of squares of a column not explained by the others, relative and absolute, below which it depends on them, or is zero.
 SURELY, NOTHING = 1e-9, 1e-11
 
 
 class Fit(Struct):
-    """One ratio. rest: sum of squares of z of each axis beside `steady`; fit: log-evidence of that, but for the power of `rest`."""
+    """Fit for one noise ratio. rest: residual sum of squares of z of each axis after `steady`; fit: log-evidence without the power of
+    `rest`."""
 
-    gain = array(REAL, BLOCKS)  # of the filter
+    gain = array(REAL, BLOCKS)  # Kalman gain
     root = array(REAL, BLOCKS)  # one over the standard deviation of each innovation
-    rows = array(REAL, BLOCKS, ROWS)  # of each block: `steady`, and z of each axis, whitened
+    rows = array(REAL, BLOCKS, ROWS)  # for each block: `steady`, and z of each axis, whitened
     products = array(TIME, ROWS, ROWS)  # of these columns
-    scale = array(TIME, 3)  # by how much manoeuvres may show, of the noise
-    factor = array(TIME, 3, STEADY, STEADY)  # of each axis: Cholesky factor of what the columns of `steady` weigh
-    own = array(TIME, 3, STEADY)  # how much of each is in z
+    scale = array(TIME, 3)  # prior standard deviation of manoeuvres in z, relative to the noise
+    factor = array(TIME, 3, STEADY, STEADY)  # of each axis: Cholesky factor of the products of `steady`, with its prior
+    own = array(TIME, 3, STEADY)  # components of z along `steady`
     rest = array(TIME, 3)
     fit = array(REAL, 3)
 
     def begin(self, stretch: Stretch, white: Real, doubt: Real) -> None:
-        """Take a ratio of the noises; doubt: the logarithm of its prior."""
+        """Begin with a ratio of the noises; doubt: the logarithm of its prior."""
         variance: Real = 1.0
         noise: Real = doubt
         for k in range(stretch.count):
@@ -58,7 +59,7 @@ class Fit(Struct):
                 self.fit[a] -= real(log(self.factor[a][j][j]))
 
     def project(self, x: Reals, first: int, count: int, xy: Reals, xx: Reals) -> None:
-        """A column that is 0 before `first`: its products with z and with itself on each axis, to `rest`."""
+        """Project a column that is 0 before `first`: its residual products with z and with itself on each axis."""
         inside = local(TIME, ROWS)
         own = local(TIME, STEADY)
         whole: Time = 0.0
@@ -89,7 +90,7 @@ class Fit(Struct):
             mean += self.gain[k] * off
 
     def _multiply(self, count: int) -> None:
-        """All products of what has been whitened."""
+        """Compute all products of the whitened columns."""
         for j in range(ROWS):
             for i in range(ROWS):
                 self.products[j][i] = 0.0
@@ -101,7 +102,7 @@ class Fit(Struct):
                     to[i] += row[j] * row[i]
 
     def _weigh(self, axis: int, count: int) -> None:
-        """What `steady` explains of z, and what that costs."""
+        """Fit `steady` to z: prior scale, Cholesky factor and residual of an axis."""
         squares = self.products[STEADY + axis][STEADY + axis]
         left = max(squares - self._explained(axis), 1e-12)
         self.scale[axis] = GAIN * sqrt(real(count) / left)
@@ -123,7 +124,7 @@ class Fit(Struct):
         return 1.0 if j == LEVEL else self.scale[axis]
 
     def _solve(self, axis: int, inside: Times, out: Times) -> None:
-        """A column by its products with `steady`: how much of each is in it."""
+        """Components of a column along `steady`, by forward substitution of their products."""
         for j in range(STEADY):
             out[j] = inside[j] * self._scale(axis, j)
             for k in range(j):
@@ -131,7 +132,7 @@ class Fit(Struct):
             out[j] /= self.factor[axis][j][j]
 
     def _explained(self, axis: int) -> Time:
-        """The squares of z that manoeuvres of any size explain."""
+        """Sum of squares of z explained by manoeuvres of any size."""
         factor = local(TIME, STEADY, STEADY)
         own = local(TIME, STEADY)
         found: Time = 0.0

@@ -1,4 +1,4 @@
-"""Many ticks in one call, and what is told of them: for whoever has the ticks of a flight as a table."""
+"""Many ticks in one call, and their result: for callers with the ticks of a flight as a table."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from rotorwatch.engine.events.events import Event
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import ROTORS
 
-SLICES = 1000  # after one tick: all that are due
+SLICES = 1000  # more than can be due after one tick
 
 
 def pass_on(t: Trim, v: Vehicle, dt: Time, n: int, time: Times, mode: Ints, usable: Flags, lacking: Reals, thrust: Reals) -> None:
-    """n ticks of dt s; lacking (n, 3), thrust (n, rotors), row by row."""
+    """Process n ticks of dt s; lacking (n, 3), thrust (n, rotors), row by row."""
     lacks = local(REAL, 3)
     commanded = local(REAL, ROTORS)
     for i in range(n):
@@ -26,10 +26,10 @@ def pass_on(t: Trim, v: Vehicle, dt: Time, n: int, time: Times, mode: Ints, usab
 
 
 def settle(t: Trim, v: Vehicle) -> None:
-    """No ticks come after these."""
+    """Finish the analysis: no ticks follow."""
     t.finish(v)
 
 
 def with_growth(g: Growth, losses: list[Event], count: int, room: int) -> int:
-    """These losses with what has grown (`Growth.join`); how many."""
+    """Merge a growing loss into these losses (`Growth.join`); return their number."""
     return g.join(losses, count, room)

@@ -1,7 +1,7 @@
-"""What is told of a trim that has been weighed: a loss that grew or was said to be over and lasts, and a mount that turned.
+"""Results of the trim analysis: a loss that grew, or was reported as over and persists, and a mount that turned.
 
-A step of one rotor is told by the estimator. Where it has told that the step is over, its end is held against the trim after it: a loss
-that is over leaves none.
+The estimator reports steps of one rotor. Where it reported that a step is over, the trim after it tests that: a loss that is over leaves
+no trace.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ from rotorwatch.engine.events.losses import CURVE_SHARE, WITHIN_95, sd_of
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import ROTORS
 
-LATER = 3  # blocks after a loss, at least, that tell whether it is over
-LASTING = 0.5  # share of a loss that is still there when it is not over
-BEGUN = 0.95  # probability with which it had begun by the time that is told
-CURVE_SD = 0.12  # of an expo, that makes a curve steeper by CURVE_SHARE
-LEAST_SHARE = 0.1  # of the mean thrust: a rotor that is commanded less shows nothing
-MOST_NATS = 27.0  # of odds: none is surer
+LATER = 3  # blocks after a loss, at least, needed to test whether it is over
+LASTING = 0.5  # remaining share of a loss that is not over
+BEGUN = 0.95  # probability of having begun by the reported time
+CURVE_SD = 0.12  # standard deviation of expo that makes a curve steeper by CURVE_SHARE
+LEAST_SHARE = 0.1  # of the mean thrust: a rotor commanded less carries no information
+MOST_NATS = 27.0  # limit of odds
 
 
 class Growth(Struct):
-    """A loss that has grown, or a step; count 0: there is none. It lasts to the end of the flight and is likelier than anything else.
+    """A loss that has grown, or a step; count 0: none. It lasts to the end of the flight and is more probable than everything else.
 
-    rotors: who it may be of, the likeliest first; start: since when it has been more than WORN, s; end: when it ceased to grow, or was last
-    seen; loss, lower, upper: of each, at the end; odds: of the likeliest rotor, to everything else; looked: the last time that was looked
-    at; grew: it is no step. time, lost: of each block, of the likeliest rotor."""
+    rotors: candidates, the most probable first; start: since when it has exceeded WORN, s; end: when it ceased to grow, or was last seen;
+    loss, lower, upper: of each, at the end; odds: of the most probable rotor, to everything else; looked: time of the last look; grew: it
+    is not a step. time, lost: of each block, of the most probable rotor.
+    """
 
     rotors = array(SMALL, ROTORS)
     loss = array(REAL, ROTORS)
@@ -47,7 +48,7 @@ class Growth(Struct):
     grew: bool = False
 
     def find(self, v: Vehicle, stretch: Stretch, w: Weighing, turned: Real) -> None:
-        """Of a trim that has been weighed. turned: log-odds of a turned mount."""
+        """Find it in the weighed trim. turned: log-odds of a turned mount."""
         self.count = 0
         best = 0
         for i in range(v.rotors):
@@ -85,7 +86,7 @@ class Growth(Struct):
         self._follow(v, stretch, best, start)
 
     def left(self, after: Time) -> Real:
-        """The loss that the trim shows after a time, s; 0 where it shows too little."""
+        """Loss shown by the trim after a time, s; 0 with too few blocks after it."""
         ordered = local(REAL, BLOCKS)
         count = 0
         for i in range(self.blocks):
@@ -101,16 +102,17 @@ class Growth(Struct):
         return ordered[count // 2] if count % 2 == 1 else 0.5 * (ordered[count // 2 - 1] + ordered[count // 2])
 
     def certain(self) -> bool:
-        """Is it one rotor's, beyond doubt?"""
+        """Return whether it is certainly of one single rotor."""
         return self.count == 1 and self.odds > CLEAR
 
     def join(self, losses: list[Event], count: int, room: int) -> int:
-        """The losses of a flight, in the order in which they were detected, with this one, if it is certain; how many. losses: what there
-        are, with a `source` each, and what is made of them; there may be `room`.
+        """Merge this loss, if certain, into the losses of a flight, in the order in which they were detected; return their number.
+        losses: with a `source` each, changed in place; room: their capacity.
 
-        One that grew is an event; what was announced within it is its beginning. Losses of its rotor that were said to be over, though the
-        trim still shows them, are one that lasts. Beside certain losses of other rotors, of which the trim is not clear, nothing is said.
-        The `source` of the new one is that of the first loss that it takes in, -1 without."""
+        A loss that grew is an event; losses announced within it are its beginning. Losses of its rotor reported as over, though the trim
+        still shows them, become one that lasts. Beside certain losses of other rotors, of which the trim is not corrected, nothing is
+        reported. The `source` of the new loss is that of the first loss merged into it, -1 without.
+        """
         if not self.certain():
             return count
         one = Event()
@@ -157,7 +159,7 @@ class Growth(Struct):
         return put(losses, left, room, one)
 
     def _size(self, v: Vehicle, w: Weighing, k: int, grows: int) -> None:
-        """Loss and interval of one of `rotors`."""
+        """Compute the loss and interval of one of `rotors`."""
         first = (2 * self.rotors[k] + grows) * LOSSES_EACH
         top: Real = NEVER
         for s in range(LOSSES_EACH):
@@ -175,7 +177,7 @@ class Growth(Struct):
             square += weight / total * (SIZES[s] - mean) * (SIZES[s] - mean)
         half = 0.5 * (SIZES[1] - SIZES[0])
         sd = sd_of(v, mean, sqrt(square + half * half))
-        steeper = CURVE_SHARE * v.expo_sd / CURVE_SD * mean  # as in `sd_of`, of a curve that nothing has told
+        steeper = CURVE_SHARE * v.expo_sd / CURVE_SD * mean  # as in `sd_of`, of a curve that has not been learned
         if steeper > 0.0:
             steeper = steeper * (1.0 - mean) / (1.0 - mean + steeper)
         half = WITHIN_95 * sqrt(sd * sd + steeper * steeper)
@@ -184,7 +186,7 @@ class Growth(Struct):
         self.upper[k] = min(mean + half, 1.0)
 
     def _follow(self, v: Vehicle, stretch: Stretch, best: int, start: Time) -> None:
-        """What the likeliest rotor lacks in each block, beside what was so before `start`."""
+        """Compute the loss of the most probable rotor in each block, relative to that before `start`."""
         self.blocks = stretch.count
         before = 0
         for j in range(stretch.count):
@@ -206,8 +208,8 @@ class Growth(Struct):
 
 
 class Mount(Struct):
-    """A mount or an arm that turned: it takes no thrust, and accuses no rotor. odds: to everything else; below CLEAR nothing is said.
-    yaw: in hover thrusts of one rotor, to the right above 0, give or take `half`."""
+    """A mount or an arm that turned: it takes no thrust, and no rotor is accused. odds: to everything else; below CLEAR it is not
+    reported. yaw: in hover thrusts of one rotor, positive to the right, give or take `half`."""
 
     onset: Time = 0.0
     detected: Time = 0.0
@@ -216,7 +218,7 @@ class Mount(Struct):
     half: Real = 0.0
 
     def find(self, v: Vehicle, stretch: Stretch, w: Weighing) -> Real:
-        """Of a trim that has been weighed; its log-odds."""
+        """Find it in the weighed trim; return its log-odds."""
         alone = w.alone()
         weight = local(REAL, AMOUNTS_TURNED)
         top: Real = NEVER
@@ -260,7 +262,7 @@ class Mount(Struct):
         return turned
 
     def put(self, events: list[Event], count: int, room: int) -> int:
-        """The events, with this one where it is clear and none of them accuses; how many."""
+        """Add it to the events where it is clear and none of them accuses a rotor; return their number."""
         if self.odds < CLEAR:
             return count
         for i in range(count):
@@ -276,7 +278,7 @@ class Mount(Struct):
 
 
 def _mean(weighted: Sum, weights: Sum) -> Real:
-    """A mean whose weights are logarithms."""
+    """Mean with logarithmic weights."""
     return weighted.total / weights.total * exp(min(weighted.top - weights.top, MOST_NATS)) if weights.total > 0.0 else 0.0
 
 
@@ -287,7 +289,7 @@ def _turn(k: int) -> Real:
 
 
 def _quantile(stretch: Stretch, w: Weighing, rotor: int, grows: int, ends: bool) -> Real:
-    """The block by which a loss of a rotor had begun, with BEGUN, or ended, in the median."""
+    """Block by which a loss of a rotor had begun, with probability BEGUN, or ended, in the median."""
     top: Real = NEVER
     total: Real = 0.0
     below: Real = 0.0

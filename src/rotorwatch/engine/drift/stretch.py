@@ -1,4 +1,4 @@
-"""The trim of a flight as it is looked at: what the blocks were at that time."""
+"""Blocks of the trim at the time of one look."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from rotorwatch.engine.drift.time_blocks import Blocks
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import ROTORS
 
-LEAST_S = 30.0  # of flight, below which nothing is looked for
-LEAST = 16  # blocks; with fewer, how much they wander cannot be estimated
-FULL = 0.5  # share of the ticks of the fullest block that one has to have
+LEAST_S = 30.0  # of flight; less is not evaluated
+LEAST = 16  # blocks; with fewer, the random walk cannot be estimated
+FULL = 0.5  # required share of the ticks of the fullest block
 SMOOTH = 5  # blocks
-LEVEL = 3  # place of the level in `steady`
+LEVEL = 3  # row of the level in `steady`
 
 
 class Stretch(Struct):
-    """N blocks. z: what lacks, on roll, pitch and yaw; share: thrusts over their mean; white: variance of white noise, to the least;
-    steady: what is there without any explanation: torques that come and go, and a level."""
+    """N blocks. z: lacking torque, on roll, pitch and yaw; share: thrusts over their mean; white: variance of white noise relative to the
+    smallest; steady: regressors without any explanation: transient torques, and a level."""
 
-    at = array(SMALL, BLOCKS)  # their numbers
+    at = array(SMALL, BLOCKS)  # numbers of the blocks
     z = array(REAL, 3, BLOCKS)
     share = array(REAL, ROTORS, BLOCKS)
     white = array(REAL, BLOCKS)
@@ -30,7 +30,7 @@ class Stretch(Struct):
     count: Small = 0
 
     def take(self, v: Vehicle, blocks: Blocks) -> bool:
-        """Take these blocks; False, and none are taken, where there are too few."""
+        """Copy these blocks; False without a copy where there are too few."""
         most = 0
         for i in range(BLOCKS):
             most = max(most, blocks.all[i].count)
@@ -54,7 +54,7 @@ class Stretch(Struct):
                 self.at[place] = i
                 for a in range(3):
                     self.z[a][place] = block.z[a]
-                    self.steady[a][place] = block.scatter[a]  # until it is read below
+                    self.steady[a][place] = block.scatter[a]  # scatter of the block, read and overwritten below
                 for k in range(v.rotors):
                     self.share[k][place] = block.thrust[k] / mean
                 self.count += 1
@@ -73,7 +73,7 @@ class Stretch(Struct):
         return self.start + self.length * (place + 0.5)
 
     def _moves(self, v: Vehicle, axis: int) -> None:
-        """The torques commanded on an axis, less the straight line through those near each: the ones that come and go."""
+        """Commanded torques on an axis, less a local straight line: the transient ones."""
         torque = local(REAL, BLOCKS)
         for j in range(self.count):
             torque[j] = 0.0
@@ -97,7 +97,7 @@ class Stretch(Struct):
 
 
 def _median(x: Reals, count: int) -> Real:
-    """Of the first `count` of x."""
+    """Median of the first `count` of x."""
     ordered = local(REAL, BLOCKS)
     for i in range(count):
         j = i

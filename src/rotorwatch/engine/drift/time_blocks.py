@@ -1,4 +1,4 @@
-"""Ticks of a flight that goes on, as means over blocks of time: as many as there is room for, whatever the length of the flight."""
+"""Means over blocks of time of the ticks of a current flight: a limited number of blocks, whatever the length of the flight."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Block(Struct):
     count: int = 0
 
     def add(self, v: Vehicle, z: Reals, thrust: Reals) -> None:
-        """One more tick."""
+        """Add a tick."""
         self.count += 1
         each = 1.0 / real(self.count)
         for a in range(3):
@@ -30,7 +30,7 @@ class Block(Struct):
             self.thrust[k] += (thrust[k] - self.thrust[k]) * each
 
     def join(self, v: Vehicle, other: Block) -> None:
-        """The ticks of another one as well."""
+        """Merge another block."""
         if other.count == 0:
             return
         self.count += other.count
@@ -44,7 +44,7 @@ class Block(Struct):
 
 
 class Blocks(Struct):
-    """Blocks that follow each other, since a first tick; some may be empty."""
+    """Consecutive blocks since the first tick; some may be empty."""
 
     all = array(Block, BLOCKS)
     start: Time = LASTS  # of the first tick, s; LASTS before
@@ -52,7 +52,7 @@ class Blocks(Struct):
     length: Time = BLOCK_S  # of a block
 
     def add(self, v: Vehicle, time: Time, z: Reals, thrust: Reals) -> None:
-        """One more tick, in the order of time."""
+        """Add a tick, in time order."""
         if self.start >= LASTS:
             self.start = time
         while time - self.start >= self.length * BLOCKS:
@@ -61,7 +61,7 @@ class Blocks(Struct):
         self.all[int((time - self.start) / self.length)].add(v, z, thrust)
 
     def _halve(self, v: Vehicle) -> None:
-        """Join them in pairs."""
+        """Join the blocks in pairs."""
         for i in range(BLOCKS // 2):
             if i > 0:
                 copy(self.all[i], self.all[2 * i])

@@ -1,8 +1,8 @@
-"""The trim of a flight that goes on, tick by tick, since its last take-off or knock; and what is told of it.
+"""Analysis of the trim of a current flight, tick by tick, since its last take-off or knock, and its results.
 
-It is looked at every LOOK_S while the vehicle is judged, and where judging ends: on the ground, after a knock, at the end of a log. A
-look is worked off in slices, one after each tick of 0.05 s, so that no tick keeps the processor for all of it. What a look has shown
-holds until the next one shows enough.
+The trim is evaluated every LOOK_S while the vehicle is in evaluated flight, and where that ends: on the ground, after a knock, at the end
+of a log. A look is computed in slices, one after each tick of 0.05 s, to bound the processor time of a tick. The result of a look holds
+until a later one has enough evidence.
 """
 
 from __future__ import annotations
@@ -21,27 +21,27 @@ SLICES_HZ = 20.0  # slices in a second of flight: a look takes 16 s
 
 
 class Trim(Struct):
-    """One vehicle. every: s between two looks; LASTS where nobody asks before judging ends. looks: so many have been worked off."""
+    """Trim analysis of one vehicle. every: s between two looks; LASTS: only at the end. looks: number of completed looks."""
 
     blocks = embedded(Blocks)
     stretch = embedded(Stretch)
     weighing = embedded(Weighing)
     growth = embedded(Growth)
     mount = embedded(Mount)
-    turned: Real = 0.0  # log-odds of that
+    turned: Real = 0.0  # log-odds of `mount`
     every: Time = LOOK_S
-    begin: Time = LASTS  # since when the vehicle has been judged, s; LASTS where it is not
+    begin: Time = LASTS  # start of evaluated flight, s; LASTS outside
     looked: Time = -LASTS  # last tick of the last look
     due: Time = 0.0  # work that is due, slices
     looks: int = 0
-    busy: bool = False  # a look is worked off
-    wanted: bool = False  # the blocks as they are now are to be looked at
+    busy: bool = False  # a look is in progress
+    wanted: bool = False  # a look at the present blocks is requested
     each: Time = 0.0  # slices in a tick
-    piece: Small = 0  # of what concludes a look
+    piece: Small = 0  # progress of the conclusion of a look
 
     def tick(self, v: Vehicle, dt: Time, time: Time, mode: int, usable: bool, lacking: Reals, thrust: Reals) -> None:
-        """One more tick of dt s, in their order, on the ground as well. usable: what it lacks counts; lacking: b + B T theta on roll, pitch
-        and yaw; thrust: T."""
+        """Add a tick of dt s, in order, on the ground as well. usable: its residual counts; lacking: b + B T theta on roll, pitch and
+        yaw; thrust: T."""
         if mode != JUDGE:
             self.close()
             self.begin = LASTS
@@ -54,7 +54,7 @@ class Trim(Struct):
         self.due = self.due + self.each if self.busy else 0.0
 
     def work(self, v: Vehicle, most: int) -> None:
-        """The slices that are due by the ticks so far, at most so many."""
+        """Compute the slices due by the ticks so far, at most so many."""
         left = most
         while left > 0:
             done = self.part(v)
@@ -63,7 +63,7 @@ class Trim(Struct):
             left -= 1 if done == ENDS else 0
 
     def part(self, v: Vehicle) -> int:
-        """A piece of the slices that are due by the ticks so far: IDLE, GOES_ON or, of each its last one, ENDS."""
+        """Compute a piece of the due slices: IDLE, GOES_ON or, for the last piece of a slice, ENDS."""
         if self.wanted:
             self._look(v)
             return GOES_ON
@@ -74,7 +74,7 @@ class Trim(Struct):
         return done
 
     def step(self, v: Vehicle) -> bool:
-        """A slice of the work, due or not; whether there is more."""
+        """Compute a slice, due or not; return whether there is more."""
         if self.wanted:
             self._look(v)
         if self.busy:
@@ -83,7 +83,7 @@ class Trim(Struct):
         return self.busy
 
     def _slice(self, v: Vehicle) -> int:
-        """A piece of a slice, or of what follows on the last one."""
+        """Compute a piece of a slice, or of the conclusion after the last one."""
         done = self.weighing.part(v, self.stretch)
         if done != IDLE:
             return done
@@ -101,7 +101,7 @@ class Trim(Struct):
         return IDLE
 
     def _look(self, v: Vehicle) -> None:
-        """The blocks as they are now, if there are enough of them."""
+        """Begin a look at the present blocks, if there are enough of them."""
         self.wanted = False
         if self.stretch.take(v, self.blocks):
             self.due = self.each
@@ -111,12 +111,12 @@ class Trim(Struct):
             self.busy = True
 
     def close(self) -> None:
-        """Judging ends, for now: look at all of it."""
+        """Evaluated flight ends for now: request a look at all of it."""
         if self.begin < LASTS and self.blocks.start < LASTS and self.blocks.last > self.looked:
             self.wanted = True
 
     def finish(self, v: Vehicle) -> None:
-        """All that is left to look at, at once."""
+        """Complete all pending looks at once."""
         self.close()
         while self.step(v):
             pass

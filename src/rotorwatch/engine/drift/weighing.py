@@ -1,25 +1,25 @@
-"""Each explanation of a trim, weighed by its evidence and its prior.
+"""Evidence and prior of each explanation of a trim.
 
-The estimator announces steps. What grows over seconds or minutes it takes for a disturbance, and what turns the vehicle without taking
-thrust as well. Over the whole flight both show in
+The estimator announces steps. It absorbs as a disturbance any change over seconds or minutes, and any torque without a loss of thrust.
+Over the whole flight both show in
 
     z = (b + B T theta) / mean T
 
-b, theta: biases and losses as estimated, T: thrusts commanded. With r: 0 until t0, 1 from t1 on, straight between, the explanations of z
-on roll, pitch and yaw are
+b, theta: biases and losses as estimated, T: thrusts commanded. With r: 0 until t0, 1 from t1 on, linear between, the explanations of z on
+roll, pitch and yaw are
 
-    nothing         a level, and what manoeuvres do
-    a rotor         r L B_i T_i / mean T, L: the loss of rotor i at the end; any size is as likely as any other
+    nothing         a level, and the effect of manoeuvres
+    a rotor         r L B_i T_i / mean T, L: the loss of rotor i at the end; uniform prior of the size
     other           any drift: of each axis by an amount of its own, of a Cauchy distribution of scale DRIFT - wind that turns, a load that
                     shifts, a mount that gives -, of all axes at the same time or of each at its own
-    a turned mount  of those, yaw by TURNED and more beside less of the others: neither wind nor load does that
+    a turned mount  of those, yaw by TURNED and more with less on the others: neither wind nor load does that
 
-The noise of each axis is a random walk and white noise of any size and ratio (`fit.py`), for air wanders; white noise is larger where z
-scatters more within a block of time. Manoeuvres show in z where gains are off: in proportion to commands of torque that come and go within
-SMOOTH blocks. Thrust, which battery and air move for all rotors alike, is left out. So a drift is a rotor's where it has the direction of
-that rotor, and is larger than drifts are.
+The noise of each axis is a random walk and white noise of any size and ratio (`fit.py`), because air wanders; white noise is larger where
+z scatters more within a block of time. Manoeuvres show in z where gains are wrong: in proportion to torque commands that come and go
+within SMOOTH blocks. Thrust, which battery and air change for all rotors alike, is left out. So a drift is attributed to a rotor where it
+has that rotor's direction, and exceeds usual drifts.
 
-A slice of the work is half of what one course takes: one t0 and t1. Everything is told by its log-odds to `nothing`.
+A slice of the work is half of the work for one course, a pair of t0 and t1. All evidence is log-odds to `nothing`.
 """
 
 from __future__ import annotations
@@ -42,31 +42,31 @@ from rotorwatch.engine.intake.craft import PITCH, ROLL, YAW, Vehicle
 from rotorwatch.engine.intake.sizes import ROTORS
 
 RISES = (0.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0)  # blocks from t0 to t1
-GROWS_S = 8.0  # less is a step, after which the biases take a while to settle
+GROWS_S = 8.0  # a shorter rise is a step, after which the biases take a while to settle
 DRIFT = (0.1, 0.1, 0.2)  # hover thrusts of one rotor, per mean thrust: roll, pitch, yaw
-TURNED = 0.3  # the same: a mount that turns by a degree or two; wind and load turn a vehicle by half of it
-RARE = 0.01  # how often a rotor loses slowly, to how often something else drifts
+TURNED = 0.3  # the same: a mount that turns by a degree or two; wind and load cause half of it
+RARE = 0.01  # prior odds of a slow loss of a rotor to any other drift
 RATIO = 150.0 ** (1.0 / (AMOUNTS_EACH - 1))
 AMOUNTS = tuple(0.01 * RATIO**k for k in range(AMOUNTS_EACH))  # hover thrusts, of a drift
 SIZES = tuple(0.03 + 0.03 * k for k in range(LOSSES_EACH))
 PI = 3.141592653589793
-NEVER = -1e9  # log-odds of what cannot be
-FAINT = 30.0  # nats, below the most of a sum, that add nothing
+NEVER = -1e9  # log-odds of the impossible
+FAINT = 30.0  # nats below the largest term of a sum; smaller terms are negligible
 MOST = 60.0  # of an exponent
 
 
-IDLE, GOES_ON, ENDS = 0, 1, 2  # what a piece of a slice was
-THIRDS = 3  # pieces in which the sizes of a loss are gone through
+IDLE, GOES_ON, ENDS = 0, 1, 2  # state after a piece of a slice
+THIRDS = 3  # pieces into which the sizes of a loss are divided
 
 
 class Sum(Struct):
-    """A sum of terms, each told by its logarithm and a weight."""
+    """A sum of terms, each given by its logarithm and a weight."""
 
     top: Real = NEVER
     total: Real = 0.0
 
     def add(self, x: Real, weight: Real) -> None:
-        """One more."""
+        """Add a term."""
         if x > self.top:
             self.total = self.total * exp(self.top - x) + weight
             self.top = x
@@ -79,38 +79,39 @@ class Sum(Struct):
 
 
 class Weighing(Struct):
-    """What explains a trim. Sums over the courses so far; those of a turned mount are in two parts, of which one awaits `alone`."""
+    """Evidence of each explanation of a trim. Sums over the courses so far; those of a turned mount are in two parts, one of them without
+    the factor `alone`."""
 
     fit = embedded(Fit)
     base = array(REAL, RATIOS, 3)  # odds of each ratio to all without explanation, to the power of -1 / freedom
     xy = array(REAL, RATIOS, COLUMNS, 3)  # of the columns of this course
     xx = array(REAL, RATIOS, COLUMNS, 3)
     x = array(REAL, 2 * BLOCKS)  # room: a course; what ends in each block
-    lost = array(REAL, COURSES, ROTORS)  # a rotor lost something, by this course
+    lost = array(REAL, COURSES, ROTORS)  # log-odds of any loss of each rotor, by course
     start = array(SMALL, COURSES)  # t0, block
     rise = array(SMALL, COURSES)  # blocks from t0 to t1
-    sizes = array(Sum, ROTORS * 2 * LOSSES_EACH)  # of each rotor, in a step or by growth: of each size
+    sizes = array(Sum, ROTORS * 2 * LOSSES_EACH)  # of each rotor, in a step or by growth, of each size
     drifts = array(Sum, 2)  # roll, pitch: any drift of the axis
-    turns = array(Sum, 2)  # yaw: of less than TURNED, and more
+    turns = array(Sum, 2)  # yaw: drifts below TURNED, and from it on
     together = embedded(Sum)  # all axes drift at the same time
     sole = array(Sum, AMOUNTS_TURNED)  # yaw by each amount of a turned mount, alone
-    beside = array(Sum, AMOUNTS_TURNED)  # the same with little of the others at the same time
+    beside = array(Sum, AMOUNTS_TURNED)  # the same with small drifts of the other axes at the same time
     onset_sole = embedded(Sum)  # t0 of these
     onset_beside = embedded(Sum)
     freedom: Real = 1.0  # half of the degrees of freedom
-    near: Real = 1.0  # by what a rest may be larger than another one and count beside it
+    near: Real = 1.0  # factor by which a residual may exceed the smallest one and still count
     small = array(REAL, 3)  # of this course: drifts of each axis by less than TURNED, and by any amount
     whole = array(REAL, 3)
     large = array(REAL, AMOUNTS_TURNED)  # yaw by each amount of a turned mount
-    less = embedded(Sum)  # drifts of the last axis by less than TURNED; then all that the last rotor may have lost
+    less = embedded(Sum)  # drifts of the last axis by less than TURNED; then any loss of the last rotor
     more = embedded(Sum)  # drifts of the last axis by TURNED and more
     count: Small = 0  # of `large`
-    rotor = array(REAL, ROTORS)  # of each rotor, of any size: its log-odds, when all courses are weighed
-    kind: Small = -1  # place among RISES; -1: the ratios are still to be prepared
-    place: Small = 0  # of the onset that is next, among ONSETS
+    rotor = array(REAL, ROTORS)  # log-odds of each rotor, any size, when all courses are weighed
+    kind: Small = -1  # index in RISES; -1: the ratios are still to be prepared
+    place: Small = 0  # index of the next onset in ONSETS
     courses: Small = 0  # so far
-    measured: bool = False  # the next one
-    piece: Small = 0  # of this slice
+    measured: bool = False  # the next course has been measured
+    piece: Small = 0  # next piece of this slice
 
     def begin(self, stretch: Stretch) -> None:
         """Begin with a trim."""
@@ -133,8 +134,8 @@ class Weighing(Struct):
         self.freedom = 0.5 * (real(stretch.count) - 1.0)
 
     def part(self, v: Vehicle, stretch: Stretch) -> int:
-        """A piece of a slice, which is half of a course: how it fits, or what that makes likely. GOES_ON: there is more of the slice;
-        ENDS: it was the last piece of one; IDLE: there was nothing left to do."""
+        """Compute a piece of a slice, which is half of a course: its fit, or the evidence from it. GOES_ON: the slice has more pieces;
+        ENDS: it was the last piece; IDLE: nothing was left to do."""
         if self.kind < 0:
             self._prepare(stretch)
             return GOES_ON
@@ -176,7 +177,7 @@ class Weighing(Struct):
         return ENDS
 
     def _prepare(self, stretch: Stretch) -> None:
-        """How likely each ratio is without explanation, one after the other."""
+        """Compute the likelihood of each ratio without explanation, one after the other."""
         at = int(self.piece)
         self.piece += 1
         if at < RATIOS:
@@ -200,14 +201,14 @@ class Weighing(Struct):
         return log(real(RARE) / (real(self.courses) * real(v.rotors) * real(LOSSES_EACH)))
 
     def alone(self) -> Real:
-        """Roll and pitch drift each at its own time, or not at all; less what a choice among three costs."""
+        """Log-evidence that roll and pitch drift each at its own time, or not at all; less the cost of a choice among three."""
         found: Real = 0.0
         for a in range(2):
             found += _either(0.0, self.drifts[a].log() - log(real(self.courses)))
         return found - 3.0 * log(real(2.0))
 
     def other(self) -> Real:
-        """Everything but a rotor and a turned mount."""
+        """Log-evidence of everything but a rotor and a turned mount."""
         several = log(real(self.courses))
         every = Sum()
         every.add(0.0, 1.0)
@@ -216,13 +217,13 @@ class Weighing(Struct):
         return every.log() - log(real(3.0))
 
     def _onset(self, stretch: Stretch, place: int) -> int:
-        """t0 of a course of this kind, block."""
+        """t0 of this onset, block."""
         first = real(stretch.at[0]) + 1.0
         last = max(first, real(stretch.at[stretch.count - 1]) - 1.0 - 0.5 * RISES[self.kind])
         return int(first + (last - first) * real(place) / real(ONSETS - 1) + 0.5)
 
     def _measure(self, v: Vehicle, stretch: Stretch, start: int, rise: Real, q: int) -> None:
-        """How a drift and the loss of each rotor by this course fit z, with the ratio that `fit` has begun."""
+        """Fit z by a drift and by the loss of each rotor along this course, with the ratio begun in `fit`."""
         first = 0
         while first < stretch.count and real(stretch.at[first] - start) < (1.0 if rise > 0.0 else 0.0):
             first += 1
@@ -235,7 +236,7 @@ class Weighing(Struct):
             self.fit.project(self.x, first, stretch.count, self.xy[q][i], self.xx[q][i])
 
     def _drifts(self, a: int, side: int) -> None:
-        """Of an axis to one side by each amount."""
+        """Add the evidence of a drift of an axis to one side, over all amounts."""
         if side == 0:
             reset(self.less)
             reset(self.more)
@@ -256,7 +257,7 @@ class Weighing(Struct):
         self.whole[a] = _either(self.small[a], self.more.log())
 
     def _together(self, start: Real) -> None:
-        """Of all axes, when each is known; `more` is yaw's, the last one."""
+        """Add the evidence of drifts of all axes, once each is known; `more` is that of yaw, the last one."""
         still = self.small[ROLL] + self.small[PITCH]
         calm = self.whole[ROLL] + self.whole[PITCH]
         more = self.more.log()
@@ -273,7 +274,7 @@ class Weighing(Struct):
         self.onset_beside.add(more + still, start)
 
     def _losses(self, v: Vehicle, i: int, third: int, grows: int) -> None:
-        """Of a rotor of each size of a third of them."""
+        """Add the evidence of a loss of a rotor, over a third of the sizes."""
         if third == 0:
             reset(self.less)
         for k in range(third * LOSSES_EACH // THIRDS, (third + 1) * LOSSES_EACH // THIRDS):
@@ -285,11 +286,11 @@ class Weighing(Struct):
         self.lost[self.courses][i] = self.less.log()
 
     def sum(self, v: Vehicle, i: int) -> None:
-        """All that a rotor may have lost, when all courses are weighed."""
+        """Compute the log-odds of any loss of a rotor, when all courses are weighed."""
         self.rotor[i] = self.prior(v) + self.either_way(i, 2)
 
     def either_way(self, rotor: int, grows: int) -> Real:
-        """Logarithm of all that a rotor may have lost: by a step (0), by growth (1), by either (2); without the prior."""
+        """Logarithm of the evidence of a loss: by a step (0), by growth (1), by either (2); without the prior."""
         every = Sum()
         for way in range(2):
             if grows == 2 or grows == way:
@@ -298,7 +299,7 @@ class Weighing(Struct):
         return every.log()
 
     def _odds(self, column: int, axis: int, amount: Real) -> Real:
-        """Of so much of a column of this course on one axis."""
+        """Log-evidence of an amount of a column of this course on one axis."""
         rest = local(REAL, RATIOS)
         least: Real = MOST
         for q in range(RATIOS):
@@ -316,7 +317,7 @@ class Weighing(Struct):
 
 
 def _gap(k: int) -> Real:
-    """From one of AMOUNTS to the next, in the mean of both sides."""
+    """Width of the interval of one of AMOUNTS: the mean distance to its neighbours."""
     if k == 0:
         return 0.5 * (AMOUNTS[1] + AMOUNTS[0])
     if k == AMOUNTS_EACH - 1:
@@ -325,5 +326,5 @@ def _gap(k: int) -> Real:
 
 
 def _either(a: Real, b: Real) -> Real:
-    """Log-odds of two explanations that exclude each other."""
+    """Log-odds of two exclusive explanations together."""
     return max(a, b) + log(1.0 + exp(-abs(a - b)))

@@ -2,11 +2,11 @@
 
 sizes.py       capacities
 craft.py       the vehicle: geometry, output range, thrust curve
-airborne.py    when it is in the air
-mixer.py       outputs against the rate controller's demand
-contact.py     knocks: motion that no rotor can make
+airborne.py    detection of take-off and landing
+mixer.py       outputs compared with the rate controller's demand
+contact.py     knocks: motion that rotors cannot cause
 sense.py       commands and motion of a tick
-ticks.py       ticks as the estimator takes them
+ticks.py       ticks as the estimator's input
 deviations.py  outputs that deviate from the mixer
-front.py       all of it: samples in, ticks out
+front.py       the whole front end: samples in, ticks out
 """

@@ -1,8 +1,8 @@
-"""When the vehicle is in the air, from motor commands, motion and the autopilot's own words.
+"""Detect when the vehicle is in the air, from motor commands, motion and the autopilot's reported state.
 
-A walk over ticks of 0.05 s that only looks back. A flight ends where the landing or the fall began to show, up to CONFIRM_S before that
-is certain. Why not simply the autopilot's "landed": it clears when the throttle rises, seconds before the vehicle leaves the ground, is
-set seconds after touch-down, and many logs lack it.
+Steps of 0.05 s that use only past samples. A flight ends where the landing or the fall began to show, up to CONFIRM_S before that is
+certain. The autopilot's "landed" alone does not suffice: it clears when the throttle rises, seconds before the vehicle leaves the ground,
+is set seconds after touch-down, and is missing from many logs.
 """
 
 from __future__ import annotations
@@ -31,40 +31,41 @@ from rotorwatch.engine.intake.sizes import FLIGHTS, HALF_SECOND, ROTORS
 
 TICK_S = 0.05
 GAP_S = 4.0
-"""For so long the last motor command is held. After a longer gap (a link that is cut, a busy disk, a damaged file) the first command after
-it says whether the vehicle flew on: learned anew after it, a loss from before or in it would count as healthy."""
+"""The last motor command is held for this long. After a longer gap (a lost link, a busy disk, a damaged file) the first command after it
+shows whether the vehicle flew on: the trim must not be learned again after the gap, or a loss from before or during it would count as
+healthy."""
 MOST_GAP_S = 60.0
-"""A longer gap always ends a flight: a landing, another load and another take-off fit into it."""
+"""A longer gap always ends a flight: it leaves time for a landing, another load and another take-off."""
 CONFIRM_S = 4.5
-"""The end of a flight is certain at most this long after it, mostly within 1.5 s."""
+"""The end of a flight is certain at most this long after it, usually within 1.5 s."""
 
 _IDLE_S = 2.0  # time constant of the idle command seen on the ground
 _HOVER_S = 5.0  # time constant of the usual command in the air
 _RISE = 0.08  # command above idle, share of the range, below which nothing flies
-_HIGH, _HIGH_RISE = 0.25, 0.10  # command, and its rise above idle, that by themselves mean flight once they last
-_HIGH_S, _HIGH_BLIND_S = 5.0, 1.0  # ... this long, with and without a velocity that could tell
-# A vehicle with much more thrust than weight hovers on less than all these. It has left the ground when it climbs on more than it rests on.
-_ABOVE, _LEAST = 1.3, 0.02  # times the command at rest, and share of the range, beyond which it is more
-_REST_S_UP = 10.0  # time constant with which the command at rest may rise; it falls at once
+_HIGH, _HIGH_RISE = 0.25, 0.10  # command, and its rise above idle, that alone mean flight if they last
+_HIGH_S, _HIGH_BLIND_S = 5.0, 1.0  # ... this long, with and without a velocity measurement
+# A vehicle with far more thrust than weight hovers below all these. It is airborne when it climbs on more than its command at rest.
+_ABOVE, _LEAST = 1.3, 0.02  # multiple of the command at rest, and share of the range, that count as more
+_REST_S_UP = 10.0  # time constant of a rise of the command at rest; it falls at once
 _CLIMB, _SPEED = 0.25, 1.0  # m/s
-_SINKING = 1.0  # m/s down: the ground is not there yet, however little the rotors are commanded
+_SINKING = 1.0  # m/s down: faster means not yet on the ground, however low the command
 _HEIGHT = 0.2  # m gained since the command became high
-_LOW = 0.65  # part of the way from idle to hover below which the rotors do not carry the vehicle
+_LOW = 0.65  # fraction of the way from idle to hover below which the rotors do not carry the vehicle
 _LOW_S = 1.5
-_CARRIED = 0.9  # the same: a vehicle that rests on less than that stands on the ground
-_SETTLING, _RESTING = 0.25, 0.15  # m/s: down at the end of a landing, more or less on the ground
-_REST_S = 3.0  # s that a vehicle may rest after it sank before it hovers
-_FALLING = 0.75 * G0  # specific force below which a vehicle with idle motors falls and has not landed
+_CARRIED = 0.9  # the same: a vehicle at rest below this stands on the ground
+_SETTLING, _RESTING = 0.25, 0.15  # m/s: descent at the end of a landing, roughly on the ground
+_REST_S = 3.0  # s of rest after a descent, beyond which the vehicle hovers
+_FALLING = 0.75 * G0  # specific force below which a vehicle with idle motors is falling, not landed
 _LYING_S = 1.0
-_STILL = 0.5  # rad/s: what turns faster does not stand or lie on the ground
-_BLOW = 1.2 * G0  # lateral specific force, or half of it downwards, that rotors cannot make: the ground's
-_BLOW_S = 3.0  # a blow so long before the end of a flight was the touch-down or the crash
+_STILL = 0.5  # rad/s: faster rotation excludes resting on the ground
+_BLOW = 1.2 * G0  # lateral specific force, or half of it downwards, beyond what rotors can produce: from the ground
+_BLOW_S = 3.0  # a shock this long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
-_FRESH_S = 1.0  # a measurement that is older is not known
+_FRESH_S = 1.0  # age beyond which a measurement is unknown
 
 
 class HalfSecond(Struct):
-    """Magnitudes of a vector's samples in half a second, and their part along the rotors' thrust; NaN where a sample is not valid."""
+    """Magnitude and component along the rotors' thrust of a vector's samples over half a second; NaN for invalid samples."""
 
     time = array(TIME, HALF_SECOND)
     size = array(REAL, HALF_SECOND)
@@ -73,7 +74,7 @@ class HalfSecond(Struct):
     count: int = 0
 
     def add(self, time: Time, size: Real, upward: Real) -> None:
-        """One more sample."""
+        """Add a sample."""
         while self.count > 0 and (self.time[self.first] < time - _WINDOW_S or self.count == HALF_SECOND):
             self.first = (self.first + 1) % HALF_SECOND
             self.count -= 1
@@ -84,11 +85,11 @@ class HalfSecond(Struct):
         self.count += 1
 
     def known(self, time: Time) -> bool:
-        """Whether the newest sample is no older than a second."""
+        """Return whether the newest sample is at most one second old."""
         return self.count > 0 and time - self.time[(self.first + self.count - 1) % HALF_SECOND] <= _FRESH_S
 
     def mean(self, time: Time, upward: bool) -> Real:
-        """Mean of the valid ones, of the magnitude or its upward part; NaN where there is none, or all are old."""
+        """Return the mean of the valid samples, of the magnitude or the component along thrust; NaN if none is valid or all are old."""
         if not self.known(time):
             return NAN
         total: Real = 0.0
@@ -102,51 +103,51 @@ class HalfSecond(Struct):
 
 
 class Span(Struct):
-    """A flight that is over, s."""
+    """A completed flight, s."""
 
     start: Time = 0.0
     end: Time = 0.0
 
 
 class Senses(Struct):
-    """What is known at one tick; NaN: not known."""
+    """Measurements at one tick; NaN: unknown."""
 
     command: Real = 0.0  # root mean square of the motor commands, share of their range
     climb: Real = 0.0  # m/s up
     speed: Real = 0.0  # m/s, horizontal
     force: Real = 0.0  # m/s^2, magnitude of the specific force, mean of half a second
-    upward: Real = 0.0  # m/s^2, its part along the rotors' thrust, the same
-    turning: Real = 0.0  # rad/s, magnitude of the angular rate, the same
-    struck: bool = False  # a specific force, just now, that rotors cannot make
+    upward: Real = 0.0  # m/s^2, its component along the rotors' thrust, likewise
+    turning: Real = 0.0  # rad/s, magnitude of the angular rate, likewise
+    struck: bool = False  # a specific force, in this tick, that rotors cannot produce
 
 
 class Airborne(Struct):
-    """Follows one vehicle, sample by sample in the order of time.
+    """Detect the flights of one vehicle from its samples in time order.
 
-    A flight starts when the command is well above idle and the vehicle climbs or moves, when it goes on to climb on more than it rested
-    on, or when the command is high for long. It ends when
-    the command stays low while the vehicle neither falls nor sinks fast nor turns, at once where the autopilot says landed or disarmed;
-    or when something other than the rotors carries the vehicle: it lies on the ground tilted or upside down. A vehicle that had come to
-    rest from sinking just before that stood on the ground since then, however long its rotors pushed on.
+    A flight starts when the command is well above idle and the vehicle climbs or moves, when it keeps climbing on more than its command
+    at rest, or when the command is high for long. It ends when the command stays low while the vehicle neither falls nor sinks fast nor
+    turns; at once when the autopilot reports landed or disarmed; or when something other than the rotors carries the vehicle: it lies on
+    the ground tilted or upside down. If the vehicle had come to rest from a descent just before, it stood on the ground since then,
+    however long its rotors kept pushing.
     """
 
     force = embedded(HalfSecond)
     turning = embedded(HalfSecond)
     tick: Time = 0.0  # number of the next tick
     velocity_time: Time = -LASTS
-    blow: Time = -LASTS  # the last force that rotors cannot make
+    blow: Time = -LASTS  # last force that rotors cannot produce
     last: Time = -LASTS  # time of the last command
     climb: Real = 0.0
     speed: Real = 0.0
     command: Real = 0.0
-    landed: int = -1  # the autopilot's last word: 1 or 0, -1 before the first
+    landed: int = -1  # the autopilot's last report: 1 or 0, -1 before the first
     armed: int = -1
-    walking: bool = False  # there are commands
-    down: bool = False  # the autopilot has reported since the last command that it is on the ground
+    walking: bool = False  # commands have been received
+    down: bool = False  # since the last command the autopilot has reported that it is on the ground
     since: Time = -LASTS  # when the present state began
-    high_since: Time = LASTS  # LASTS: not so
+    high_since: Time = LASTS  # LASTS: not at present
     raised_since: Time = LASTS
-    gained: Real = 0.0  # m, since then
+    gained: Real = 0.0  # m, gained since then
     low_since: Time = LASTS
     lying_since: Time = LASTS
     sank: Time = -LASTS
@@ -158,23 +159,23 @@ class Airborne(Struct):
     hover: Real = 0.0
     drift: Real = 0.0
     height: Real = 0.0
-    rest: Real = 0.0  # least command of late
+    rest: Real = 0.0  # smallest recent command
     drift_at_rest: Real = 0.0
-    climbed: Real = 0.0  # m, of a climb that goes on, on more than that
+    climbed: Real = 0.0  # m, of a continuing climb on more than the command at rest
     idle_known: bool = False
     flying: bool = False
-    stands: bool = False  # on the ground since the last flight, its rotors pushing
-    start: Time = LASTS  # of the flight that goes on, LASTS on the ground
-    flights = array(Span, FLIGHTS)  # that are over
-    ended: int = 0  # how many these are
-    seen = array(TIME, ROTORS)  # when each output was known last
-    unseen: Mask = 0  # outputs that are not known for longer than a gap, in the flight that goes on or was the last
+    stands: bool = False  # on the ground since the last flight, with the rotors pushing
+    start: Time = LASTS  # start of the current flight, LASTS on the ground
+    flights = array(Span, FLIGHTS)  # completed flights
+    ended: int = 0  # number of completed flights
+    seen = array(TIME, ROTORS)  # when each output was last known
+    unseen: Mask = 0  # outputs unknown for longer than a gap, in the current or last flight
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: Flags) -> None:
-        """Motor outputs at `time` s.
+        """Add motor outputs at `time` s.
 
-        The command is their root mean square: thrust grows with the square, and rotors that fly on beside one that rests carry the
-        vehicle all the same.
+        The command is their root mean square: thrust grows with the square, and if one rotor is at rest the others still carry the
+        vehicle.
         """
         total: Real = 0.0
         count = 0
@@ -215,14 +216,14 @@ class Airborne(Struct):
         self.turning.add(time, sqrt(x * x + y * y + z * z) if valid else NAN, 0.0)
 
     def velocity(self, time: Time, climb: Real, speed: Real) -> None:
-        """Climb rate and horizontal speed, m/s; NaN: not known."""
+        """Climb rate and horizontal speed, m/s; NaN: unknown."""
         self.walk(time, False)
         self.velocity_time = time
         self.climb = climb
         self.speed = speed
 
     def state(self, time: Time, landed: int, armed: int) -> None:
-        """The autopilot says that it has landed, or is armed: 1 or 0; -1: as before."""
+        """Landed and armed as reported by the autopilot: 1 or 0; -1: unchanged."""
         self.walk(time, False)
         self.down = self.down or landed == 1 or armed == 0
         if landed >= 0:
@@ -231,12 +232,12 @@ class Airborne(Struct):
             self.armed = armed
 
     def walk(self, time: Time, inclusive: bool) -> None:
-        """All samples before `time` s have come, or up to it: go over the ticks of which all is known."""
+        """Process all complete ticks, once all samples before `time` s have arrived, or up to it."""
         if not self.walking and self.last > -LASTS and time > self.last + MOST_GAP_S:
             self._end_flight()
         while self.walking:
             now = self.tick * TICK_S
-            if now > self.last + GAP_S:  # the last command is held for so long
+            if now > self.last + GAP_S:  # the last command is held for this long
                 if time > self.last + GAP_S:
                     self.walking = False
                     if time > self.last + MOST_GAP_S:
@@ -248,12 +249,12 @@ class Airborne(Struct):
             self.tick += 1.0
 
     def close(self) -> None:
-        """No sample comes any more: a flight that lasts ends with the last command."""
+        """No more samples will come: a flight in progress ends with the last command."""
         if self.start < LASTS:
             self._store(self.last)
 
     def end_of(self, i: int) -> Time:
-        """When flight i of those that are over ended: where its end began to show, and not after the last command."""
+        """Return the end of completed flight i: where its end began to show, and not after the last command."""
         return min(self.flights[i].end, self.last)
 
     def _step(self, time: Time) -> None:
@@ -266,7 +267,7 @@ class Airborne(Struct):
         now.upward = self.force.mean(time, True)
         now.turning = self.turning.mean(time, False)
         now.struck = time - TICK_S < self.blow <= time
-        # In the air, specific force is what the rotors push: along -z. Lying still on anything but the feet, it is not.
+        # In the air, specific force comes from the rotors, along -z. On the ground it does not, unless the vehicle stands on its feet.
         lying = abs(now.force - G0) < 2.0 and now.upward < 0.7 * now.force and now.turning < _STILL
         self.lying_since = _lasting(self.lying_since, lying, time)
         if self.flying:
@@ -282,7 +283,7 @@ class Airborne(Struct):
         ground = self.idle if self.idle_known else 0.0
         high = now.command > max(_HIGH, ground + _HIGH_RISE)
         climb = 0.0 if isnan(now.climb) else now.climb - self.drift
-        # Where nothing measures the climb, a vehicle that turns after its rotors pushed has left the ground, idle as they may be now.
+        # Where climb is not measured, a vehicle that turns after its rotors pushed has left the ground, even if they idle now.
         turns = self.high_since < LASTS and isnan(now.climb) and now.turning > _STILL
         rests = abs(now.climb) < _RESTING and not now.speed > _SETTLING
         self.stands = self.stands and rests and not self._less(now.command, _LOW)
@@ -290,7 +291,7 @@ class Airborne(Struct):
         self.height = self.height + TICK_S * climb if high else 0.0
         self.rest = min(now.command, _blend(self.rest, now.command, _REST_S_UP)) if self.idle_known else now.command
         above = now.command > _ABOVE * self.rest + _LEAST
-        # The idle command follows a throttle that is raised slowly up to the hover; the least one does not.
+        # The idle command follows a throttle that is raised slowly up to the hover; the smallest command does not.
         raised = (above or self.raised_since < LASTS) and now.command > _HIGH and not self.stands
         raised = raised and self.landed != 1 and self.armed != 0
         self.raised_since = _lasting(self.raised_since, raised, time)
@@ -322,9 +323,9 @@ class Airborne(Struct):
         high_for = time - self.high_since if self.high_since < LASTS else 0.0
         if self.lying_since < LASTS:
             return False
-        if not self.idle_known:  # it begins with running motors: in the middle of a flight
+        if not self.idle_known:  # the log begins with running motors: in mid-flight
             return high_for >= TICK_S
-        if self.landed == 1 or self.armed == 0:  # a stale word is overruled only by a plain climb
+        if self.landed == 1 or self.armed == 0:  # only a clear climb overrides an old report
             return self.height > 5.0 * _HEIGHT
         if now.command < self.idle + _RISE:
             return False
@@ -333,12 +334,13 @@ class Airborne(Struct):
         return high_for >= (_HIGH_BLIND_S if isnan(now.climb) else _HIGH_S)
 
     def _climbs_away(self) -> bool:
-        """However little is commanded; farther where the autopilot does not say that it is in the air."""
+        """Return whether it climbs away, however low the command; farther where the autopilot does not report that it is in the air."""
         said = self.landed == 0 and self.armed != 0
         return self.lying_since >= LASTS and self.climbed > (_HEIGHT if said else 5.0 * _HEIGHT)
 
     def _hovers_low(self, time: Time, now: Senses) -> bool:
-        """Far more than the least command for long, however slowly it was raised; and some height, where that is known."""
+        """Return whether the command has long been far above the smallest one, however slowly it was raised, with some height where
+        known."""
         raised = self.raised_since < LASTS and time - self.raised_since >= _HIGH_S
         return self.idle_known and self.lying_since >= LASTS and raised and (isnan(now.climb) or self.gained > 2.0 * _HEIGHT)
 
@@ -378,7 +380,8 @@ class Airborne(Struct):
         self.climbed = 0.0
 
     def _rests(self, time: Time, now: Senses) -> None:
-        """Since when the vehicle has neither climbed nor sunk nor moved after it sank, for _REST_S at most: longer, it hovers."""
+        """Time since which the vehicle has neither climbed nor sunk nor moved after a descent, for _REST_S at most: beyond that it
+        hovers."""
         if now.climb < -_SETTLING:
             self.sank = time
         if not (abs(now.climb) < _RESTING and not now.speed > _SETTLING):
@@ -389,11 +392,11 @@ class Airborne(Struct):
             self.rest_since = LASTS
 
     def _less(self, command: Real, share: Real) -> bool:
-        """Is it less than this part of the way from idle to hover?"""
+        """Return whether the command is below this fraction of the way from idle to hover."""
         return command < self.floor + share * (self.hover - self.floor)
 
     def _continues(self, time: Time) -> bool:
-        """Does the vehicle still fly after a gap, by the first command after it? What lasted before the gap begins anew."""
+        """Return whether the first command after a gap shows that the vehicle still flies. Conditions timed before the gap start again."""
         self.low_since = LASTS
         self.rest_since = LASTS
         self.lying_since = LASTS
@@ -402,7 +405,7 @@ class Airborne(Struct):
         return self.flying and not self._less(self.command, _LOW)
 
     def _store(self, end: Time) -> None:
-        """A flight is over."""
+        """Store a completed flight."""
         if min(end, self.last) > self.start:
             if self.ended == FLIGHTS:
                 for i in range(FLIGHTS - 1):
@@ -415,7 +418,7 @@ class Airborne(Struct):
         self.start = LASTS
 
     def _end_flight(self) -> None:
-        """The flight ended with the last command; what was learned of it goes."""
+        """End the flight at the last command and discard what was learned of it."""
         self.close()
         self.since = -LASTS
         self.first_blow = -LASTS
@@ -440,7 +443,7 @@ class Airborne(Struct):
 
 
 def _lasting(before: Time, holds: bool, time: Time) -> Time:
-    """Since when a condition has held that now `holds`; LASTS when it does not."""
+    """Time since which a condition has held continuously; LASTS if it does not hold now."""
     return LASTS if not holds else before if before < LASTS else time
 
 

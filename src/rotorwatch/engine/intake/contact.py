@@ -1,8 +1,8 @@
-"""Knocks: forces and torques on the vehicle that its rotors cannot make, whatever became of them.
+"""Knocks: forces and torques on the vehicle that its rotors cannot produce, whatever their condition.
 
-Rotors push along the body's axis and turn it with what they push. A sideways force that begins within a tick, a lift that nobody
-commanded, or an angular acceleration beyond what the commands and the loss of any two rotors explain comes from outside: another
-vehicle, an obstacle, the ground. What follows - tumbling, saturated outputs, a bent arm - must not be read as the loss of a rotor.
+Rotors push along the body's axis and turn it by differences of thrust. A sideways force that begins within a tick, a lift that was not
+commanded, or an angular acceleration beyond what the commands and the loss of any two rotors explain comes from outside: another vehicle,
+an obstacle, the ground. The consequences - tumbling, saturated outputs, a bent arm - must not be read as the loss of a rotor.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ from rotorwatch.engine.intake.sizes import ROTORS, TICKS_BEFORE
 
 TURNED, PUSHED_SIDEWAYS, PUSHED_UP = 0, 1, 2
 
-SIDEWAYS, UPWARD = 0.5, 0.8  # g, against the half second before; drag and gusts change by less than 0.2 g in a tick
-SHAKES = 2.5  # ... and so many times the vibration: sampled slowly, it looks at times like a steady push
-# Hover thrusts for each rad/s^2 and rotor that a small vehicle (arms of 5 cm) takes in roll, pitch and yaw: none turns for less.
+SIDEWAYS, UPWARD = 0.5, 0.8  # g, relative to the half second before; drag and gusts change by less than 0.2 g in a tick
+SHAKES = 2.5  # ... and this multiple of the vibration: sampled slowly, it can look like a steady push
+# Hover thrusts per rad/s^2 and rotor that a small vehicle (arms of 5 cm) needs in roll, pitch and yaw: no vehicle needs less.
 LEAST_GAIN = (0.0015, 0.0015, 0.03)
-TURNS = 5.0  # rad/s^2, in the same tick or the one before: what hits a vehicle turns it as well, vibration does not
-TOGETHER_S = 1.0  # knocks within that are one
+TURNS = 5.0  # rad/s^2, in the same tick or the one before: an impact also turns the vehicle, vibration does not
+TOGETHER_S = 1.0  # knocks within this time are one
 
 
 class Vibration(Struct):
-    """How far the specific force has been from its mean over the half second before, from the first sample up to now."""
+    """Deviation of the specific force from its mean over the half second before, from the first sample to now."""
 
-    total: Time = 0.0  # (m/s^2)^2: a sum over the whole flight, single precision would stop growing
+    total: Time = 0.0  # (m/s^2)^2: a sum over the whole flight, which would stop growing in single precision
     count: int = 0
 
     def sample(self, x: Real, y: Real, z: Real, total: Times, count: int) -> None:
-        """One more sample, m/s^2; total [3] and count: of the samples in the half second before it. What knocks add is cut off."""
+        """Add a sample, m/s^2; total [3] and count: of the samples in the half second before it. Contributions of knocks are clipped."""
         square: Time = 0.0
         if count > 0:
             dx = float(x) - total[0] / float(count)
@@ -46,7 +46,7 @@ class Vibration(Struct):
 
 
 class Shove(Struct):
-    """What a tick is judged by."""
+    """Commands and motion of one tick, as tested for a knock."""
 
     time: Time = 0.0
     thrust = array(REAL, ROTORS)  # commanded, hover thrusts
@@ -56,33 +56,33 @@ class Shove(Struct):
     right: Real = 0.0
     load: Real = 0.0  # specific force up over g
     shake: Real = 0.0  # vibration at the beginning of the tick, m/s^2
-    fresh: bool = False  # in the air, and all of these are known
-    accelerometer: bool = False  # forward, right, load and shake are known at all
+    fresh: bool = False  # in the air, with all of these known
+    accelerometer: bool = False  # forward, right, load and shake are known
 
 
 class Touch(Struct):
-    """A contact, and what one tick had to do with it."""
+    """A contact, and the part of one tick in it."""
 
     time: Time = 0.0  # of its first tick
-    size: Real = 0.0  # g, or hover thrusts of one rotor where it turned the vehicle; of its largest tick so far
+    size: Real = 0.0  # g, or hover thrusts of one rotor where it turned the vehicle; its largest tick so far
     push: int = TURNED
-    hit: bool = False  # something outside pushed the vehicle in this tick
-    is_new: bool = False  # a new contact, or one that was larger than thought
+    hit: bool = False  # an external force or torque acted in this tick
+    is_new: bool = False  # a new contact, or one larger than known before
 
 
 class Contact(Struct):
-    """Follows the ticks of one vehicle, on the ground as well."""
+    """Detect contacts from the ticks of one vehicle, on the ground as well."""
 
     hit: Time = -LASTS  # time of the last tick with a knock
     last = array(Touch, 1)
-    before = array(REAL, TICKS_BEFORE, 4)  # side force, load, load less mean thrust of the ticks before; 0 where not fresh
+    before = array(REAL, TICKS_BEFORE, 4)  # side force, load, load less mean thrust of the previous ticks; 0 where not fresh
     fresh = array(FLAG, TICKS_BEFORE)
     turning: Real = 0.0  # rad/s^2, of the tick before
-    recent = array(REAL, ROTORS)  # thrust of late: motors that are cut still turn
+    recent = array(REAL, ROTORS)  # recent thrust: motors that are cut still turn
     next: int = 0
 
     def tick(self, v: Vehicle, x: Shove, back: int, found: Touch) -> None:
-        """One more tick. back: ticks in half a second, against which it is held; found: what it has to do with a contact."""
+        """Process a tick. back: number of ticks in half a second, the reference; found: the tick's part in a contact."""
         sizes = local(REAL, 3)
         limits = local(REAL, 3)
         mean: Real = 0.0
@@ -107,7 +107,7 @@ class Contact(Struct):
             forward = self._change(x.forward, 0, back)
             right = self._change(x.right, 1, back)
             sizes[PUSHED_SIDEWAYS] = sqrt(forward * forward + right * right) / G0
-            # More lift than before, and not because the motors, cut, still turn.
+            # More lift than before, unless the motors were cut and still turn.
             sizes[PUSHED_UP] = min(self._change(x.load, 2, back), self._change(x.load - mean, 3, back))
         if x.accelerometer:
             for kind in range(1, 3):
@@ -140,7 +140,7 @@ class Contact(Struct):
         found.push = last.push
 
     def _change(self, value: Real, column: int, back: int) -> Real:
-        """By how much a value differs from the mean of the ticks before, which are all fresh."""
+        """Difference of a value from the mean of the previous ticks, all of them fresh."""
         total: Real = 0.0
         for k in range(back):
             total += self.before[k][column]
@@ -148,9 +148,9 @@ class Contact(Struct):
 
 
 def _unexplained(v: Vehicle, x: Shove, recent: Reals) -> Real:
-    """Torque that the motion takes at least, beyond what was commanded that way and the loss of any two rotors explains.
+    """Smallest torque that the motion requires beyond the torque commanded in its direction and the loss of any two rotors.
 
-    recent: thrusts of late, at least those of now. Commands against the motion count for nothing: they may come a tick early.
+    recent: recent thrusts, at least the present ones. Commands against the motion count for nothing: they may come a tick early.
     """
     most: Real = -1e30
     first: Real = 0.0

@@ -1,10 +1,10 @@
 """Mixer deviations: outputs that do not follow the mixer, because they are stuck at a value, off, or driven by something else.
 
-Two ways to find one: each output against what the mixer demands of it (`Deviations.compared`), and outputs alone (`Deviations.logged`): one
-that is off, or does not move while all others fly and move. Loss of effectiveness never shows here: the commands are what is compared.
+Two methods: compare each output with the mixer's demand (`Deviations.compared`), or examine outputs alone (`Deviations.logged`): one that
+is off, or does not move while all others fly and move. Loss of effectiveness never shows here: only commands are compared.
 
-Rest is compared with what the others do: a sample in which every output repeats the one before says nothing of any of them. A log that
-missed some samples shows the last ones again.
+An output at rest is compared with the others: a sample in which every output repeats the one before carries no information. A log that
+missed some samples repeats the last ones.
 
 Sample by sample; times do not decrease. Causal: an override's `detected` is when an observer in flight would have known.
 """
@@ -40,30 +40,30 @@ STUCK, OFF, OVERRIDDEN = 0, 1, 2
 BY_MIXER, NOT_MOVING, BELOW_MINIMUM, AT_MINIMUM, WAYS = 0, 1, 2, 3, 4
 
 _PART_STILL = 0.015  # of full thrust; as PART, for an output that does not move at all
-_PROVEN = 20  # comparisons that a mixer must have passed before it can accuse an output
-_SHARES_OF_YAW = 11  # 0, 0.1 to 1: what of the yaw a mixer at its limits may give up
-_UNEXPLAINED = 0.25  # share of the differences between outputs that a mixer that is believed may leave unexplained
-_AGREEING = 0.7  # share of the other outputs that must agree on what is common to all before one can be accused
-_CONFIRM_S, _CONFIRM_SAMPLES = 0.25, 3  # how long an output must differ
+_PROVEN = 20  # comparisons that a mixer must have passed before an output can be accused by it
+_SHARES_OF_YAW = 11  # 0, 0.1 to 1: share of the yaw that a mixer at its limits may give up
+_UNEXPLAINED = 0.25  # share of the differences between outputs that a trusted mixer may leave unexplained
+_AGREEING = 0.7  # share of the other outputs that must agree on the common deviation before one can be accused
+_CONFIRM_S, _CONFIRM_SAMPLES = 0.25, 3  # duration for which an output must differ
 _STUCK_S = 1.0  # an output that does not move for this long while it should have, whatever limits the others, is stuck
 _SILENT_S = 0.5  # an output that does not move for this long while all others do is stuck
-_STEPS = 4.0  # steps of the outputs' resolution that the others must move while one rests
-_BACK_S = 0.5  # an output must follow again for this long before its override is over
+_STEPS = 4.0  # steps of the outputs' resolution that the others must move while one is at rest
+_BACK_S = 0.5  # an output must follow again for this long before its override ends
 
 
 class Override(Struct):
-    """A time in which an output did not follow the mixer."""
+    """A period in which an output did not follow the mixer."""
 
     onset: Time = 0.0  # s
     detected: Time = 0.0  # s
-    end: Time = LASTS  # s, LASTS while it lasts
-    output: Real = 0.0  # when it was noticed, in the outputs' unit
-    demanded: Real = -1.0  # share of full thrust that the mixer demanded then; negative where it is not known
-    got: Real = 0.0  # the thrust of the output then, by the curve the mixer believes in
+    end: Time = LASTS  # s, LASTS while in progress
+    output: Real = 0.0  # output when noticed, in the outputs' unit
+    demanded: Real = -1.0  # share of full thrust that the mixer demanded then; negative where unknown
+    got: Real = 0.0  # thrust of the output then, by the curve assumed by the mixer
     rotor: int = 0  # from 0
     kind: int = OVERRIDDEN  # STUCK, OFF or OVERRIDDEN
-    way: int = BY_MIXER  # how it was found
-    shared: bool = False  # another output left the mixer and came back at the same samples: the log is wrong, not a rotor
+    way: int = BY_MIXER  # detection method
+    shared: bool = False  # another output left the mixer and returned at the same samples: the log is wrong, not a rotor
 
 
 class Rest(Struct):
@@ -80,52 +80,52 @@ class Rest(Struct):
         return self.since
 
     def wait(self, time: Time, seconds: Time) -> None:
-        """These seconds up to `time` do not count."""
+        """Exclude these seconds up to `time`."""
         self.since = min(self.since + seconds, time)
 
 
 class Run(Struct):
-    """Samples in a row that may become an override, or are one."""
+    """Consecutive samples that may become an override, or are one."""
 
     onset: Time = LASTS  # LASTS: none
-    well: Time = LASTS  # since when all has been well in an override
-    low: Real = 0.0  # of the output in these samples
+    well: Time = LASTS  # time since which the output has been normal during an override
+    low: Real = 0.0  # output in these samples
     high: Real = 0.0
-    count: int = 0  # of these samples, as far as it matters
-    place: int = -1  # of the override, -1 without
+    count: int = 0  # number of these samples, as far as it matters
+    place: int = -1  # place of the override, -1 without
 
 
 class Deviations(Struct):
-    """The overrides of one vehicle, as its samples come."""
+    """The overrides of one vehicle, updated with each sample."""
 
     runs = array(Run, WAYS, ROTORS)
-    still = array(Rest, ROTORS)  # of the outputs compared, but for rounding
+    still = array(Rest, ROTORS)  # rest of each output in the comparisons, but for rounding
     rest = array(Rest, ROTORS)  # the same, exactly
-    alone = array(Rest, ROTORS)  # of all outputs
+    alone = array(Rest, ROTORS)  # rest of each output in all samples
     asked = array(TIME, ROTORS)  # when the mixer last asked something of each, as far as it was compared; 0 before
     last: Time = -LASTS  # time of the last comparison
     last_logged: Time = -LASTS  # ... and of the last outputs
-    step: Real = inf  # the smallest change of an output so far: their resolution
-    tilt = array(REAL, ROTORS)  # demanded of each rotor for roll and pitch, at that time
+    step: Real = inf  # smallest change of an output so far: its resolution
+    tilt = array(REAL, ROTORS)  # demand on each rotor for roll and pitch, at that time
     tilt_at_rest = array(REAL, ROTORS, ROTORS)  # ... of all, when the output of each came to rest
     power: Time = 0.0  # sum of the squares of the largest deviations of comparisons that fitted
     unexplained: Time = 0.0  # ... of the differences between outputs that were not as demanded
     differences: Time = 0.0  # ... of all differences between outputs
-    fitted: int = 0  # how many comparisons fitted
-    judged: int = 0  # how many could have
+    fitted: int = 0  # number of comparisons that fitted
+    judged: int = 0  # number that could have
     recent_time = array(TIME, RECENT)
     recent = array(REAL, RECENT, ROTORS)  # thrusts of the last half second
     recent_first: int = 0
     recent_count: int = 0
     overrides = array(Override, OVERRIDES)
     overrides_count: int = 0
-    forgotten: int = 0  # overrides that found no room, or whose place another got
+    forgotten: int = 0  # overrides without a free place, or whose place was reused
 
     def compared(self, v: Vehicle, c: Comparison, airborne: bool) -> None:
-        """One more comparison. airborne: the vehicle flew then.
+        """Process a comparison. airborne: the vehicle flew then.
 
-        An output counts when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
-        near its limits. Limits explain neither an output below its minimum nor one that rests while it should move against the others.
+        An output counts when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor
+        is near its limits. Limits explain neither an output below its minimum nor one that rests while it should move against the others.
         """
         low = v.u_min
         span = v.u_max - v.u_min
@@ -142,7 +142,7 @@ class Deviations(Struct):
         for k in range(v.rotors):
             interior[k] = low + 0.01 * span < c.output[k] < low + 0.99 * span
             inside += 1 if interior[k] else 0
-            # What does not stir at all; at a limit, and in calm air, others rest as well.
+            # An output that does not move at all; at a limit, and in calm air, others rest as well.
             rest[k] = self.rest[k].update(c.time, c.output[k], 1e-9)
             repeated = repeated and rest[k] < c.time
         if repeated and inside > 1:
@@ -167,7 +167,7 @@ class Deviations(Struct):
         unexplained: Time = 0.0
         differences: Time = 0.0
         for k in range(v.rotors):
-            if c.output[k] >= low + 0.99 * span:  # full thrust is what a mixer at its limits demands
+            if c.output[k] >= low + 0.99 * span:  # a mixer at its limits demands full thrust
                 deviation[k] = 0.0
                 known[k] = True
             whole = whole and known[k]
@@ -181,8 +181,8 @@ class Deviations(Struct):
             if known[k]:
                 size: Time = deviation[k]
                 largest = max(largest, size * size)
-        # How well the mixer has explained the outputs so far; one that never did says nothing about single outputs. Nor does one that has
-        # the throttle right but another scale of roll, pitch and yaw: it fits as well while nothing turns.
+        # Test how well the mixer has explained the outputs so far; a mixer that never did gives no evidence about single outputs. Nor
+        # does one with the right throttle but another scale of roll, pitch and yaw: it fits as well while nothing turns.
         proven = self.fitted >= _PROVEN and float(self.fitted) > 0.7 * float(self.judged)
         proven = proven and self.unexplained < _UNEXPLAINED * self.differences
         usual = real(6.0 * sqrt(self.power / float(max(self.fitted, 1))))
@@ -203,8 +203,9 @@ class Deviations(Struct):
             still = self.still[k].update(c.time, c.output[k], span / 400.0)
             frozen = c.time - still > 0.5 and interior[k]
             off = c.output[k] < low - 0.01 * span and c.demanded[k] > 2.0 * FLYING
-            # At a limit the mixer takes from all others what it has too much, gives up yaw, and in calm air they may rest: stuck is what
-            # does not stir at all while it should have moved against them. What keeps its distance to one that cannot move rests with it.
+            # At a limit the mixer takes any excess from all other outputs and gives up yaw, and in calm air they may rest: an output is
+            # stuck if it does not move at all while it should have moved against them. An output at a constant distance from a limited
+            # one rests with it.
             if rest[k] >= c.time:
                 for j in range(v.rotors):
                     self.tilt_at_rest[k][j] = self.tilt[j]
@@ -230,7 +231,7 @@ class Deviations(Struct):
                     one.onset = min(still, one.onset)
 
     def logged(self, v: Vehicle, time: Time, output: Reals, thrust: Reals, valid: bool, airborne: bool) -> None:
-        """One more sample of outputs, and the thrusts of these. valid: all of them are."""
+        """Process a sample of outputs and their thrusts. valid: all of them are."""
         low = v.u_min
         span = v.u_max - v.u_min
         inside = airborne and valid
@@ -292,10 +293,10 @@ class Deviations(Struct):
                 self.overrides[at].onset = still[k]
 
     def landed(self, compared: Time, logged: Time) -> None:
-        """The vehicle was on the ground already at the samples that are taken back.
+        """Correct for samples that turn out to be on the ground.
 
-        compared, logged: times of the first comparison and of the first outputs among these, LASTS without. What lasted until then ends
-        there, as it would have had that been known.
+        compared, logged: times of the first comparison and of the first outputs among these, LASTS without. Overrides in progress then
+        end there, as if the landing had been known.
         """
         for way in range(WAYS):
             since = compared if way == BY_MIXER else logged
@@ -308,7 +309,8 @@ class Deviations(Struct):
                         run.well = min(run.well, since)
 
     def found(self, v: Vehicle, out: list[Override]) -> int:
-        """How many overrides there are so far, in the order in which they were noticed, in `out`, which has room for OVERRIDES."""
+        """Write the overrides so far to `out`, which has room for OVERRIDES, in the order in which they were noticed; return their
+        number."""
         for i in range(self.overrides_count):
             j = i
             while j > 0 and _before(self.overrides[i], out[j - 1]):
@@ -332,7 +334,7 @@ class Deviations(Struct):
         return reported
 
     def _balances(self, v: Vehicle, one: Override) -> bool:
-        """Does an output rest only because the one opposite it has been lost? What flies on balances its torque that way."""
+        """Return whether an output rests only because the opposite one has been lost: the remaining rotors balance its torque that way."""
         if one.kind != OFF or one.demanded >= 0.0:
             return False
         for i in range(self.overrides_count):
@@ -344,7 +346,7 @@ class Deviations(Struct):
         return False
 
     def _together(self, one: Override) -> bool:
-        """Did another output leave the mixer and come back to it at the same samples? One rotor's output fails alone."""
+        """Return whether another output left the mixer and returned to it at the same samples. A fault of one rotor affects one output."""
         for i in range(self.overrides_count):
             o = self.overrides[i]
             apart = o.onset < one.onset or one.onset < o.onset or o.end < one.end or one.end < o.end
@@ -353,7 +355,7 @@ class Deviations(Struct):
         return False
 
     def _room(self) -> int:
-        """Room for an override: the first free place, or that of the one that ended first; -1 where all last."""
+        """Place for an override: the first free one, or that of the one that ended first; -1 where all are in progress."""
         if self.overrides_count < OVERRIDES:
             self.overrides_count += 1
             return self.overrides_count - 1
@@ -367,10 +369,10 @@ class Deviations(Struct):
         return oldest
 
     def _follow(self, way: int, k: int, time: Time, wrong: bool, back: bool, output: Real, hold_s: Time, samples: int) -> int:
-        """One sample of one way to find an override: is the output wrong, is it well?
+        """Process a sample of one detection method: whether the output is wrong, and whether it is normal.
 
-        An override is confirmed after hold_s and `samples` in a row, and over when all has been well for _BACK_S. Its place when it is
-        confirmed at this sample, else -1.
+        An override is confirmed after hold_s and `samples` in a row, and ends after _BACK_S of normal output. Returns its place when it
+        is confirmed at this sample, else -1.
         """
         run = self.runs[way][k]
         confirmed = -1
@@ -410,7 +412,7 @@ class Deviations(Struct):
         return confirmed
 
     def _remember(self, rotors: int, time: Time, thrust: Reals, valid: bool) -> None:
-        """Keep thrusts of the last _SILENT_S."""
+        """Store the thrusts of the last _SILENT_S."""
         while self.recent_count > 0 and (self.recent_time[self.recent_first] < time - _SILENT_S or self.recent_count == RECENT):
             self.recent_first = (self.recent_first + 1) % RECENT
             self.recent_count -= 1
@@ -421,12 +423,13 @@ class Deviations(Struct):
         self.recent_count += 1
 
     def _moved(self, k: int) -> Real:
-        """The range of the thrust of rotor k over what is kept, without the sample furthest off.
+        """Range of the thrust of rotor k over the stored samples, without the most extreme one.
 
-        In calm air an output may rest: the others rest as well, but for one damaged record. What moves is off in more than one sample.
+        In calm air an output may rest: the others rest as well, but for one damaged record. A moving output differs in more than one
+        sample.
         """
         lowest: Real = inf
-        low: Real = inf  # the next to it
+        low: Real = inf  # the next most extreme one
         highest: Real = -inf
         high: Real = -inf
         known = 0
@@ -442,14 +445,14 @@ class Deviations(Struct):
 
 
 def _before(a: Override, b: Override) -> bool:
-    """Was a noticed before b?"""
+    """Return whether a was noticed before b."""
     if a.detected < b.detected or b.detected < a.detected:
         return a.detected < b.detected
     return a.rotor < b.rotor or (a.rotor == b.rotor and a.way < b.way)
 
 
 def _median(x: Reals, count: int) -> Real:
-    """Median of the first count > 0 numbers, which it sorts."""
+    """Median of the first count > 0 numbers; sorts them."""
     for i in range(1, count):
         value = x[i]
         j = i
@@ -461,12 +464,12 @@ def _median(x: Reals, count: int) -> Real:
 
 
 def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known: Flags) -> None:
-    """By how much each output deviates from the mixer by itself; known: whether that can be judged.
+    """Deviation of each output from the mixer on its own; known: whether it can be evaluated.
 
-    Where not all that is demanded can be had, a mixer gives up throttle, for all outputs alike, and yaw, a share of it. Outputs that this
-    explains are nobody's fault, nor are outputs that are all off by the same amount (a gain). An output is accused with what is left of its
-    deviation under the share of yaw that suits it best, of those under which the others agree. Where even throttle and yaw are not enough,
-    each mixer has its own way to give up tilt: no output is accused. interior: away from the limits.
+    Where the demand cannot be met, a mixer gives up throttle, for all outputs alike, and a share of yaw. Outputs explained by this are
+    not faulty, nor are outputs that all deviate by the same amount (a gain). The remaining deviation of an output is that under the share
+    of yaw that suits it best, among those under which the others agree. Where even throttle and yaw do not suffice, each mixer gives up
+    tilt in its own way: no output is accused. interior: away from the limits.
     """
     other = local(REAL, ROTORS)
     agreed = local(FLAG, ROTORS)
@@ -480,7 +483,7 @@ def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known
         for k in range(rotors):
             known[k] = False
         return
-    if c.yaw_granted and least >= 0.0 and most <= c.top:  # beyond its limits any mixer may give up what it grants within them
+    if c.yaw_granted and least >= 0.0 and most <= c.top:  # beyond its limits any mixer may give up the yaw that it grants within them
         return
     for i in range(1, _SHARES_OF_YAW):
         _against_others(rotors, c, real(i) * 0.1, interior, other, agreed)
@@ -491,7 +494,8 @@ def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known
 
 
 def _against_others(rotors: int, c: Comparison, share: Real, interior: Flags, deviation: Reals, agreed: Flags) -> None:
-    """Deviation of each output from what is demanded and what the others have in common, within the limits; agreed: whether these agree.
+    """Deviation of each output from the demand and from the deviation common to the others, within the limits; agreed: whether these
+    agree.
 
     share: of the yaw that is given up.
     """

@@ -1,8 +1,8 @@
-"""The whole front end: samples of one vehicle in, ticks that are certain out.
+"""The whole front end: samples of one vehicle in, certain ticks out.
 
-Feed every sample in the order of its time, of all kinds together; feeding a sample of time t says that all older ones have come. After
-each, call `next` until it returns False. Ticks that may still turn out to lie on the ground (a descent on little thrust, a knock) wait
-until that is known, up to some seconds.
+Feed the samples of all kinds together in time order; a sample of time t implies that all older ones have arrived. After each, call `next`
+until it returns False. Ticks that may still turn out to be on the ground (a descent on little thrust, a knock) wait until that is known,
+up to some seconds.
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from rotorwatch.engine.intake.sizes import QUEUE, ROTORS
 from rotorwatch.engine.intake.ticks import HOVER_LEARN_S, Made, Ticks
 
 # Kinds of samples; those of equal times come in this order. VELOCITY: north, east, down; SPEED: climb rate and horizontal speed alone;
-# STATE: landed, armed; VOLTAGE: as a share of full; THRUSTS: what `sense` takes without outputs (whole.cut).
+# STATE: landed, armed; VOLTAGE: as a share of full; THRUSTS: input of `sense` without outputs (whole.cut).
 VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATES, SPEED = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10)
 
 HELD_S = 0.15
-"""Outputs older than this are not what is commanded now, where the rate controller asks for something else in between."""
+"""Outputs older than this are not the present command where the rate controller has demanded something else since."""
 
-_LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: by how much an end may lie before what showed it
+_LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: how far an end may lie before the evidence of it
 
 
 class Front(Struct):
-    """One vehicle, from its samples to its ticks."""
+    """Front end of one vehicle: its samples to its ticks."""
 
     air = embedded(Airborne)
     mixer = embedded(Mixer)
     deviations = embedded(Deviations)
-    sure = array(Deviations, 1)  # as they were when the doubt about the landing began
+    sure = array(Deviations, 1)  # overrides as they were when the landing became uncertain
     sense = embedded(Sense)
     ticks = embedded(Ticks)
     queue = array(Sensed, QUEUE)  # ring
     first: int = 0
     count: int = 0
-    certain: int = 0  # of the queue: so many are certain, whatever comes
-    start: Time = LASTS  # of the flight that goes on, LASTS on the ground
-    before_start: Time = LASTS  # of the flight before
+    certain: int = 0  # number of ticks in the queue that are certain in any case
+    start: Time = LASTS  # start of the current flight, LASTS on the ground
+    before_start: Time = LASTS  # of the previous flight
     before_end: Time = -LASTS
-    compared: Time = LASTS  # first comparison and first outputs since the doubt began, LASTS without
+    compared: Time = LASTS  # first comparison and first outputs since the landing became uncertain, LASTS without
     logged: Time = LASTS
-    newest: Time = -LASTS  # mean time of the commands of the last tick that came
+    newest: Time = -LASTS  # mean time of the commands of the last tick received
     now: Time = -LASTS
     thrust = array(REAL, ROTORS)  # the last outputs as shares of full thrust
     known = array(FLAG, ROTORS)  # which of these outputs were valid
@@ -53,7 +53,7 @@ class Front(Struct):
     doubting: bool = False
 
     def sample(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
-        """One sample of any kind; NaN: not known. x: as many numbers as the kind has."""
+        """Add a sample of any kind; NaN: unknown. x: as many numbers as the kind has."""
         if kind == OUTPUTS:
             self.outputs(v, p, time, x)
         elif kind == CONTROL:
@@ -76,7 +76,7 @@ class Front(Struct):
             self.voltage(v, p, time, x[0])
 
     def outputs(self, v: Vehicle, p: Plan, time: Time, output: Reals) -> None:
-        """Outputs to the motors; NaN: not known."""
+        """Outputs to the motors; NaN: unknown."""
         one = Comparison()
         all_known = True
         for k in range(v.rotors):
@@ -95,7 +95,7 @@ class Front(Struct):
             self.sense.thrust(v, p, time, self.thrust, all_known)
 
     def control(self, v: Vehicle, p: Plan, time: Time, demand: Reals) -> None:
-        """What the rate controller demands of the mixer: roll, pitch, yaw, throttle; NaN: not known."""
+        """Demand of the rate controller on the mixer: roll, pitch, yaw, throttle; NaN: unknown."""
         thrust = local(REAL, ROTORS)
         valid_thrust = local(FLAG, ROTORS)
         valid = not (isnan(demand[0]) or isnan(demand[1]) or isnan(demand[2]) or isnan(demand[3]))
@@ -115,7 +115,7 @@ class Front(Struct):
         self.sense.thrust(v, p, time, thrust, all_known)
 
     def gyro(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real, z: Real) -> None:
-        """Angular rate, body FRD, rad/s; NaN: not known."""
+        """Angular rate, body FRD, rad/s; NaN: unknown."""
         valid = not (isnan(x) or isnan(y) or isnan(z))
         self.air.gyro(time, x, y, z, valid)
         self._advance(v, p, time)
@@ -123,13 +123,13 @@ class Front(Struct):
             self.sense.gyros.add(time, x, y, z)
 
     def rates(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real, z: Real) -> None:
-        """Angular rate where there is no gyro: from the attitude, slow."""
+        """Angular rate derived from the attitude, slow, where there is no gyro."""
         self._advance(v, p, time)
         if not (isnan(x) or isnan(y) or isnan(z)):
             self.sense.gyros.add(time, x, y, z)
 
     def accel(self, v: Vehicle, p: Plan, time: Time, x: Real, y: Real, z: Real) -> None:
-        """Specific force, body FRD, m/s^2, -9.8 along z at rest; NaN: not known."""
+        """Specific force, body FRD, m/s^2, -9.8 along z at rest; NaN: unknown."""
         valid = not (isnan(x) or isnan(y) or isnan(z))
         self.air.accel(time, x, y, z, valid)
         self._advance(v, p, time)
@@ -137,22 +137,22 @@ class Front(Struct):
             self.sense.accel(time, x, y, z)
 
     def velocity(self, v: Vehicle, p: Plan, time: Time, north: Real, east: Real, down: Real) -> None:
-        """Velocity, m/s; NaN: not known."""
+        """Velocity, m/s; NaN: unknown."""
         self.sense.moves(time, north, east, down)
         self.speed(v, p, time, -down, sqrt(north * north + east * east))
 
     def speed(self, v: Vehicle, p: Plan, time: Time, climb: Real, speed: Real) -> None:
-        """Climb rate and horizontal speed, m/s, where nothing says in which direction; NaN: not known."""
+        """Climb rate and horizontal speed, m/s, where the direction is unknown; NaN: unknown."""
         self.air.velocity(time, climb, speed)
         self._advance(v, p, time)
 
     def state(self, v: Vehicle, p: Plan, time: Time, landed: int, armed: int) -> None:
-        """The autopilot says that it has landed, or is armed: 1 or 0; -1: nothing new."""
+        """Landed and armed as reported by the autopilot: 1 or 0; -1: unchanged."""
         self.air.state(time, landed, armed)
         self._advance(v, p, time)
 
     def attitude(self, v: Vehicle, p: Plan, time: Time, w: Real, x: Real, y: Real, z: Real) -> None:
-        """Attitude quaternion, body to world, scalar first; NaN: not known."""
+        """Attitude quaternion, body to world, scalar first; NaN: unknown."""
         self._advance(v, p, time)
         self.sense.attitude(time, w, x, y, z)
 
@@ -163,7 +163,7 @@ class Front(Struct):
             self.battery = ratio
 
     def finish(self, v: Vehicle, p: Plan, time: Time) -> None:
-        """The end of a log: all samples up to `time` s have come, and no more will. A flight lasts as long as there are outputs."""
+        """End of a log: all samples up to `time` s have arrived, and no more will. A flight lasts as long as there are outputs."""
         self.air.walk(time, True)
         self._landed_or_lifted()
         self.doubting = False
@@ -175,7 +175,7 @@ class Front(Struct):
         self.certain = self.count
 
     def next(self, v: Vehicle, p: Plan, out: Made) -> bool:
-        """The oldest tick of which it is known whether it lies in the air; False where there is none."""
+        """Take the oldest tick that is certainly in the air or on the ground; False where there is none."""
         self._take_rows(v, p)
         if self.count == 0 or not (self.certain > 0 or self.count == QUEUE or self._clear()):
             return False
@@ -187,27 +187,27 @@ class Front(Struct):
         return True
 
     def _clear(self) -> bool:
-        """Whether the oldest tick cannot turn out to lie on the ground."""
+        """Return whether the oldest tick cannot turn out to be on the ground."""
         if self.start >= LASTS:
             return True
         row = self.queue[self.first]
         if row.when > self.start and (row.when > self._uncertain_from() or row.when > self.air.last):
             return False
-        # What carries the vehicle is learned from all ticks of the first second.
+        # The hover thrust is learned from all ticks of the first second.
         return not (row.time >= self.start and self.newest < self.start + HOVER_LEARN_S)
 
     def _uncertain_from(self) -> Time:
-        """The earliest moment at which the flight that goes on may still turn out to have ended; LASTS: none, it flies."""
+        """Earliest time at which the current flight may still turn out to have ended; LASTS: none, it flies."""
         if self.air.start >= LASTS:
             return LASTS
         begin = min(self.air.low_since, self.air.rest_since)
         begin = min(begin, LASTS if self.air.lying_since >= LASTS else self.air.lying_since - _LYING_S)
-        if min(begin, self.now) - self.air.last_blow <= _BLOW_S:  # an end soon after a blow is put where that was
+        if min(begin, self.now) - self.air.last_blow <= _BLOW_S:  # an end soon after a shock is moved to the shock
             begin = min(begin, self.air.first_blow)
         return begin
 
     def _flight_of(self, row: Sensed) -> Time:
-        """Start of the flight in which a tick lies, LASTS on the ground."""
+        """Start of the flight that contains a tick, LASTS on the ground."""
         if self.start < LASTS and row.time >= self.start + HOVER_LEARN_S:
             return self.start
         if self.before_start < LASTS and row.time >= self.before_start + HOVER_LEARN_S and row.when <= self.before_end:
@@ -215,7 +215,7 @@ class Front(Struct):
         return LASTS
 
     def _advance(self, v: Vehicle, p: Plan, now: Time) -> None:
-        """After a sample of time `now` has reached the gate."""
+        """Update after `airborne` has processed a sample of time `now`."""
         self.now = now
         self._landed_or_lifted()
         if self._uncertain_from() < LASTS:
@@ -236,7 +236,7 @@ class Front(Struct):
             self.start = self.air.start
 
     def _landed(self, end: Time) -> None:
-        """The flight that went on has ended at `end` s: the ticks that wait are certain now."""
+        """The current flight has ended at `end` s: the waiting ticks are certain now."""
         self.before_start = self.start
         self.before_end = end
         self.start = LASTS
@@ -247,8 +247,8 @@ class Front(Struct):
         self.doubting = False
 
     def _take_rows(self, v: Vehicle, p: Plan) -> None:
-        """Ticks that have become known, into the queue; while some of a flight that ended wait there, none of the next one: what carries
-        the vehicle is learned of one flight at a time."""
+        """Move completed ticks into the queue; while ticks of an ended flight wait there, take none of the next one: hover thrust is
+        learned for one flight at a time."""
         while self.count < QUEUE and not (self.certain > 0 and self.start < LASTS) and self.sense.ready(p, self.now):
             row = self.queue[(self.first + self.count) % QUEUE]
             self.sense.measure(v, p, row)

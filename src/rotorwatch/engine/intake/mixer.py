@@ -3,14 +3,14 @@
 Outputs u are often logged slowly (ArduPilot: 10 Hz), the rate controller's output c = (roll, pitch, yaw, throttle) often fast. The
 autopilot turns c into thrust demands with its mixer M and its gain g (air density),
 
-    t = g M c,        m(u) = t        with m the thrust curve the autopilot believes in (battery compensation included),
+    t = g M c,        m(u) = t        with m the thrust curve assumed by the autopilot (battery compensation included),
 
-so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f; PX4 often believes
-in a straight line (THR_MDL_FAC 0) that no motor follows: Vehicle.mixer_expo. The gain is learned on the way, or all factors of a mixer that
-is not known.
+so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f; PX4 often assumes
+a straight line (THR_MDL_FAC 0) that no motor follows: Vehicle.mixer_expo. The gain is learned in flight, or all factors of an unknown
+mixer.
 
-Samples of both come in the order of time; at the same time outputs first. battery: voltage as a share of full, filtered; 1 where nothing
-measures it. All thrusts are shares of full thrust. A value at time s uses nothing that came after s.
+Samples of both come in time order; at equal times outputs first. battery: voltage as a share of full, filtered; 1 where it is not
+measured. All thrusts are shares of full thrust. A value at time s uses nothing after s.
 """
 
 from __future__ import annotations
@@ -40,33 +40,33 @@ THROTTLE, CONTROLS = 3, 4
 PART = 0.05
 """Share of full thrust by which rebuilt thrust and that of the outputs may differ before the rebuilt one is not valid."""
 FLYING = 0.05
-"""Share of full thrust above which a rotor does enough for a comparison."""
+"""Share of full thrust above which a rotor's thrust is large enough for a comparison."""
 NOISE_SD = 0.004
-"""Share of full thrust: rounding to 1 us, and the controller moving between its own samples and those of the outputs."""
+"""Share of full thrust: rounding to 1 us, and changes of the demand between the controller's samples and those of the outputs."""
 
 _GAIN_MEMORY_S = 20.0  # air density changes with height, slowly
-_PAIR_WITHIN_S = 0.15  # outputs further than this from any sample of the rate controller have no partner
+_PAIR_WITHIN_S = 0.15  # outputs further than this from any sample of the rate controller are not compared
 _TOGETHER_S = 0.002  # at equal rates outputs come within 1 ms of their rate controller's sample: no need to wait for the next one
-_FRESH_S = 0.5  # rebuilt thrust is valid for so long after a comparison
+_FRESH_S = 0.5  # validity of rebuilt thrust after a comparison
 
 
 class Comparison(Struct):
-    """One sample of outputs against what the mixer demands of them, in shares of full thrust."""
+    """Comparison of one sample of outputs with the mixer's demand, in shares of full thrust."""
 
     time: Time = 0.0  # s, of the outputs
-    known: Time = 0.0  # s, when the rate controller's samples around it had come
-    thrust = array(REAL, ROTORS)  # of the outputs, by the curve the mixer believes in
+    known: Time = 0.0  # s, when the surrounding samples of the rate controller had arrived
+    thrust = array(REAL, ROTORS)  # of the outputs, by the curve assumed by the mixer
     demanded = array(REAL, ROTORS)  # by the mixer, as if outputs had no limits
-    yaw = array(REAL, ROTORS)  # the part of `demanded` that is for yaw
+    yaw = array(REAL, ROTORS)  # yaw part of `demanded`
     deviation = array(REAL, ROTORS)  # thrust minus what is demanded, within the limits
     output = array(REAL, ROTORS)  # in the outputs' unit
     top: Real = 0.0  # thrust of u_max
-    gain: Real = 1.0  # of the mixer, as it is known after this sample
-    yaw_granted: bool = False  # the mixer grants all of the yaw
+    gain: Real = 1.0  # of the mixer, estimated after this sample
+    yaw_granted: bool = False  # the mixer grants the whole yaw demand
 
 
 class OutputSample(Struct):
-    """Outputs that wait for the rate controller's next sample."""
+    """Outputs waiting for the rate controller's next sample."""
 
     time: Time = 0.0
     output = array(REAL, ROTORS)
@@ -81,16 +81,16 @@ class ControlSample(Struct):
 
 
 class Mixer(Struct):
-    """Compares outputs with the rate controller's, learns the mixer's gain from that, and rebuilds thrusts."""
+    """Compare outputs with the rate controller's, learn the mixer's gain, and rebuild thrusts."""
 
     pending = array(OutputSample, PENDING)
     first: int = 0
-    waiting: int = 0  # how many of them
-    controller = array(ControlSample, 2)  # the last ones, the newer second
-    controls: int = 0  # how many these are
-    time: Time = -LASTS  # of the last comparison
-    usable: Time = -LASTS  # of the last one that the gain was learned from
-    product: Real = 0.0  # forgetting means: thrust times demand
+    waiting: int = 0  # number of waiting outputs
+    controller = array(ControlSample, 2)  # the last two, the newer second
+    controls: int = 0  # number of these
+    time: Time = -LASTS  # time of the last comparison
+    usable: Time = -LASTS  # time of the last one used to learn the gain
+    product: Real = 0.0  # exponentially forgetting means: thrust times demand
     power: Real = 0.0  # ... demand squared
     gain: Real = 1.0
     weights = array(TIME, CONTROLS + 1, ROTORS)  # of an unknown mixer: (roll, pitch, yaw, throttle, 1) -> thrust
@@ -99,7 +99,7 @@ class Mixer(Struct):
     confirmed = array(FLAG, ROTORS)  # ... and the one before
 
     def outputs(self, v: Vehicle, time: Time, output: Reals, valid: bool, battery: Real, out: Comparison) -> int:
-        """Outputs at `time` s. How many comparisons are made, 0 or 1, in `out`."""
+        """Add outputs at `time` s. Return the number of comparisons in `out`, 0 or 1."""
         if not valid:
             return 0
         at = self.controls - 1
@@ -122,7 +122,7 @@ class Mixer(Struct):
         return 0
 
     def control(self, v: Vehicle, time: Time, control: Reals, valid: bool, out: Comparison) -> bool:
-        """The rate controller's output at `time` s; to be called again until it returns False. Where it is True, `out` is a comparison."""
+        """Add the rate controller's output at `time` s; call again until it returns False. Where it is True, `out` is a comparison."""
         if not valid:
             return False
         between = local(REAL, CONTROLS)
@@ -151,10 +151,10 @@ class Mixer(Struct):
         return False
 
     def thrust(self, v: Vehicle, time: Time, control: Reals, valid: bool, battery: Real, thrust: Reals, valid_thrust: Flags) -> bool:
-        """Thrusts that the rate controller's output stands for, after `control` of that sample. Whether any of them is valid.
+        """Thrusts for the rate controller's output, after `control` of that sample. Return whether any of them is valid.
 
-        valid_thrust: of each rotor; where not, the last outputs are better: at limits, with more yaw than the mixer grants, and where a
-        rotor's last outputs differed (thrust boost, spool-up, an output that is overridden).
+        valid_thrust: of each rotor; where False, the last outputs are better: at limits, with more yaw than the mixer grants, and where a
+        rotor's last outputs differed (thrust boost, spool-up, an overridden output).
         """
         top = _share(v, v.mixer_expo, v.u_max, battery)
         inside = valid and time - self.time < _FRESH_S and _grants_yaw(v, control)
@@ -170,7 +170,7 @@ class Mixer(Struct):
         return some
 
     def _compare(self, v: Vehicle, time: Time, known: Time, output: Reals, battery: Real, control: Reals, c: Comparison) -> None:
-        """Outputs against the rate controller's output of the same moment."""
+        """Compare outputs with the rate controller's output of the same time."""
         first = self.time <= -LASTS
         if first:
             self._begin(v)
@@ -181,7 +181,7 @@ class Mixer(Struct):
         for k in range(v.rotors):
             c.output[k] = output[k]
             c.thrust[k] = _share(v, v.mixer_expo, output[k], battery)
-        # Each sample is judged by what was known before it; the first one by what it has taught.
+        # Each sample is evaluated with the earlier estimate; the first one with its own.
         if not first:
             self._deviations(v, control, c)
         if v.mixer_known:
@@ -198,14 +198,14 @@ class Mixer(Struct):
         c.gain = self.gain
 
     def _deviations(self, v: Vehicle, control: Reals, c: Comparison) -> None:
-        """What the mixer, as it is known now, demands of the outputs, and how far these are from it."""
+        """Compute the demand of the mixer, by its present estimate, and the deviation of the outputs from it."""
         for k in range(v.rotors):
             c.demanded[k] = self._demanded(v, control, k)
             c.yaw[k] = control[YAW] * (self.gain * v.mixer[k][YAW] if v.mixer_known else real(self.weights[YAW][k]))
             c.deviation[k] = c.thrust[k] - min(max(c.demanded[k], 0.0), c.top)
 
     def _demanded(self, v: Vehicle, control: Reals, k: int) -> Real:
-        """Thrust that the mixer, as it is known now, demands of a rotor."""
+        """Thrust demanded of a rotor by the present estimate of the mixer."""
         if v.mixer_known:
             return self.gain * _mixed(v, control, k)
         total = self.weights[CONTROLS][k]
@@ -214,14 +214,14 @@ class Mixer(Struct):
         return real(total)
 
     def _begin(self, v: Vehicle) -> None:
-        """An unknown mixer, before anything is known of it: throttle for all rotors alike."""
+        """Initialize an unknown mixer: throttle alone, for all rotors alike."""
         for k in range(v.rotors):
             self.weights[THROTTLE][k] = 1.0
         for c in range(CONTROLS + 1):
             self.spread[c][c] = 1.0
 
     def _learn_gain(self, v: Vehicle, time: Time, control: Reals, thrust: Reals) -> None:
-        """A common gain, by a forgetting average over samples whose own gain explains all rotors: none limited, none overridden."""
+        """Learn a common gain, by a forgetting average over samples whose own gain explains all rotors: none limited, none overridden."""
         demand = local(REAL, ROTORS)
         power: Real = 0.0
         product: Real = 0.0
@@ -244,7 +244,7 @@ class Mixer(Struct):
         self.gain = self.product / self.power
 
     def _learn_mixer(self, v: Vehicle, control: Reals, thrust: Reals, top: Real) -> None:
-        """All factors, by recursive least squares of the thrusts on the rate controller's output."""
+        """Learn all factors, by recursive least squares of the thrusts on the rate controller's output."""
         inputs = local(TIME, CONTROLS + 1)
         along = local(TIME, CONTROLS + 1)
         for k in range(v.rotors):
@@ -270,12 +270,12 @@ class Mixer(Struct):
 
 
 def curve(v: Vehicle, output: Real, battery: Real) -> Real:
-    """Share of full thrust f(u) that an output stands for."""
+    """Thrust f(u) of an output, share of full."""
     return _share(v, v.expo, output, battery)
 
 
 def _share(v: Vehicle, expo: Real, output: Real, battery: Real) -> Real:
-    """The same by a thrust curve of any expo."""
+    """The same for a thrust curve of any expo."""
     a = min(max((output - v.u_min) / (v.u_max - v.u_min), 0.0), 1.0) * battery
     return (1.0 - expo) * a + expo * a * a
 
@@ -298,13 +298,13 @@ def _mixed(v: Vehicle, control: Reals, k: int) -> Real:
 
 
 def _grants_yaw(v: Vehicle, control: Reals) -> bool:
-    """Does the mixer grant all of the yaw?
+    """Return whether the mixer grants the whole yaw demand.
 
     ArduPilot limits yaw last: to the room that roll and pitch leave every rotor around a throttle of at most 0.5, but never below its
     headroom.
     """
     yaw = abs(control[YAW])
-    least: Real = 0.0  # room of the rotor that has least
+    least: Real = 0.0  # room of the most limited rotor
     if not v.mixer_known:
         return yaw < v.yaw_headroom
     bounded = False

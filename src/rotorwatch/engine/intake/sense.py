@@ -1,6 +1,6 @@
-"""From samples to ticks: what was commanded and measured in each of them. A tick uses nothing measured after it.
+"""From samples to ticks: commands and measured motion of each tick. A tick uses nothing measured after it.
 
-It pairs the commands sent during one tick length with the motion they caused a motor lag later:
+Pairs the commands sent during one tick length with the motion they caused a motor lag later:
 
     commands   mean of the rotor thrusts in (t - dt - a, t - a],     a = lag + dt / 2
     motion     over a window of length dt centred a lag after them
@@ -31,43 +31,43 @@ from rotorwatch.engine.intake.contact import Vibration
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import LEVELS, MOTION_SAMPLES, ROTORS, WAITING
 
-SIDE_S = 0.5  # side forces are averaged over: they change as slowly as speed and wind, and vibration is louder
-BEFORE_S = 0.5  # that vibration is held against
-LATE_S = 0.9  # motion that is this late is not waited for, where it is sampled often enough: less than the second after lift-off
-GAP_S = 4.0  # without any command: of a longer gap only so much at either end makes ticks
-NO_COMMAND_S = 0.2  # after a tick: there was no command in it
-SUM_S = 1e-9  # by which two sums of the same times may differ: a tick does not wait for the next sample because of that
-FRESH_S = 1.0  # velocity and attitude that are older than this, or apart by more, say nothing of the air
-MOST_AXIAL = 30.0  # m/s: what says more is wrong
-MOST_TICKS = 1e9  # their numbers stay in 32 bits: a clock that jumped farther is not followed
+SIDE_S = 0.5  # averaging time of side forces: they change as slowly as speed and wind, and vibration is stronger
+BEFORE_S = 0.5  # reference time for vibration
+LATE_S = 0.9  # motion that is this late is not awaited, where it is sampled often enough: less than the second after lift-off
+GAP_S = 4.0  # without any command: in a longer gap only this much at either end makes ticks
+NO_COMMAND_S = 0.2  # after a tick: no command in it
+SUM_S = 1e-9  # rounding of two sums of the same times: a tick must not wait for the next sample because of it
+FRESH_S = 1.0  # velocity and attitude older than this, or apart by more, give no airspeed
+MOST_AXIAL = 30.0  # m/s: a larger value is wrong
+MOST_TICKS = 1e9  # limit of tick numbers in 32 bits: a larger clock jump is not followed
 
 
 class Plan(Struct):
-    """How a flight is cut into ticks: what its sampling rates decide, once for all of it. Constant: it may stay in flash."""
+    """Division of a flight into ticks, fixed by its sampling rates. Constant: may be stored in flash."""
 
     dt: Time = 0.05  # s, length of a tick
-    lag: Time = 0.02  # s, by which motion follows commands
-    phase: Time = 0.0  # s, of the ticks' ends; 0 but for commands as slow as ticks
-    ready: Time = 8.0  # s after lift-off, before which nothing is judged
+    lag: Time = 0.02  # s, delay of motion behind commands
+    phase: Time = 0.0  # s, offset of the ticks' ends; 0 except for commands as slow as ticks
+    ready: Time = 8.0  # s after lift-off that are not evaluated
     gyro_half: Time = 0.025  # s, half of the time over which it is averaged
     accel_half: Time = 0.025
-    gyro_least: int = 1  # samples in that time, below which it is not known
+    gyro_least: int = 1  # samples in that time, below which it is unknown
     accel_least: int = 1
     side_least: int = 1  # the same of half a second of the accelerometer
-    late: Time = LATE_S  # s, motion that is this late is not waited for
+    late: Time = LATE_S  # s, motion that is this late is not awaited
     before: int = 10  # ticks in half a second
-    hover: Real = 0.0  # share of full thrust that carries the vehicle, where healthy flights have shown it, else 0
-    gyro: bool = False  # there is one
+    hover: Real = 0.0  # a gyro is present
+    gyro: bool = False  # an accelerometer is present
     accel: bool = False
     rebuilt: bool = False  # thrusts come from the rate controller's output, which is sampled faster than the outputs
 
 
 class Sensed(Struct):
-    """A tick as it was measured, whether in the air or not."""
+    """A tick as measured, in the air or not."""
 
-    time: Time = 0.0  # s, when everything in it is known
+    time: Time = 0.0  # s, when the whole tick is known
     when: Time = 0.0  # s, mean time of its commands
-    number: int = 0  # from the first command on; in a long gap some are left out
+    number: int = 0  # from the first command on; some are left out in a long gap
     share = array(REAL, ROTORS)  # mean share of full thrust
     rate = array(REAL, 3)  # angular rate, rad/s
     rate_dot = array(REAL, 3)  # angular acceleration, rad/s^2
@@ -76,25 +76,25 @@ class Sensed(Struct):
     side = array(REAL, 2)  # the same over half a second; 0 where not known
     shake: Real = 0.0  # vibration so far, m/s^2
     level: Real = 1.0  # cosine of the tilt, 1 where it is not known
-    axial: Real = NAN  # speed along the thrust axis, m/s, above 0 where it climbs along it; NaN where it is not known
-    some: bool = False  # there were commands
+    axial: Real = NAN  # speed along the thrust axis, m/s, positive when climbing along it; NaN if unknown
+    some: bool = False  # commands were received
     rate_ok: bool = True
     load_ok: bool = False
 
 
 class Samples(Struct):
-    """The last samples of a vector, as straight lines between them."""
+    """The last samples of a vector, interpolated linearly."""
 
     time = array(TIME, MOTION_SAMPLES)
     x = array(REAL, MOTION_SAMPLES)
     y = array(REAL, MOTION_SAMPLES)
     z = array(REAL, MOTION_SAMPLES)
-    start: Time = LASTS  # of the first sample of all
+    start: Time = LASTS  # time of the very first sample
     first: int = 0
     count: int = 0
 
     def place(self, k: int) -> int:
-        """Where sample k is, the oldest being 0."""
+        """Index of sample k, the oldest being 0."""
         return (self.first + k) % MOTION_SAMPLES
 
     def newest(self) -> Time:
@@ -102,7 +102,7 @@ class Samples(Struct):
         return self.time[self.place(self.count - 1)] if self.count > 0 else -LASTS
 
     def add(self, time: Time, x: Real, y: Real, z: Real) -> bool:
-        """One more sample; False where its time does not grow, and it is left out."""
+        """Add a sample; False and ignored unless its time increases."""
         if self.count > 0 and not time > self.newest():
             return False
         if self.start >= LASTS:
@@ -119,7 +119,7 @@ class Samples(Struct):
         return True
 
     def at_or_after(self, time: Time) -> int:
-        """The first sample that is not before `time`; their number where all are."""
+        """First sample at or after `time`; their number if there is none."""
         low = 0
         high = self.count
         while low < high:
@@ -131,7 +131,7 @@ class Samples(Struct):
         return low
 
     def area(self, begin: Time, end: Time, total: Times) -> None:
-        """Area under the three columns between two times; nothing before the first and after the last sample."""
+        """Integral of the three columns between two times; zero before the first and after the last sample."""
         total[0] = 0.0
         total[1] = 0.0
         total[2] = 0.0
@@ -149,7 +149,7 @@ class Samples(Struct):
                 total[2] += (b - a) * (self.z[i] + middle * (self.z[j] - self.z[i]))
 
     def covers(self, begin: Time, end: Time, least: int) -> bool:
-        """Whether the time between is covered by at least so many samples."""
+        """Return whether at least so many samples cover the interval."""
         if self.count < 2 or begin < self.start or end > self.newest() + SUM_S:
             return False
         last = self.at_or_after(end)
@@ -159,7 +159,7 @@ class Samples(Struct):
 
 
 class Levels(Struct):
-    """The last attitudes: cosine of the tilt, and speed along the thrust axis."""
+    """Recent attitudes: cosine of the tilt, and speed along the thrust axis."""
 
     time = array(TIME, LEVELS)
     level = array(REAL, LEVELS)
@@ -168,7 +168,7 @@ class Levels(Struct):
     count: int = 0
 
     def add(self, time: Time, level: Real, axial: Real) -> None:
-        """One more; left out where its time does not grow."""
+        """Add an attitude; ignored unless its time increases."""
         if self.count > 0 and not time > self.time[(self.first + self.count - 1) % LEVELS]:
             return
         if self.count == LEVELS:
@@ -181,7 +181,7 @@ class Levels(Struct):
         self.count += 1
 
     def find(self, time: Time) -> int:
-        """Place of the last one known at `time`, or of the first of all; -1 without any."""
+        """Index of the last one known at `time`, or else of the first; -1 without any."""
         for k in range(self.count - 1, -1, -1):
             i = (self.first + k) % LEVELS
             if self.time[i] <= time or k == 0:
@@ -190,7 +190,7 @@ class Levels(Struct):
 
 
 class Bin(Struct):
-    """Commands in one tick."""
+    """Commands of one tick."""
 
     when: Time = 0.0  # s, sum since the end of the first tick
     total = array(REAL, ROTORS)
@@ -199,28 +199,28 @@ class Bin(Struct):
 
 
 class Sense(Struct):
-    """Cuts one vehicle's samples into ticks, as they come, in the order of time."""
+    """Divide the samples of one vehicle into ticks as they arrive, in time order."""
 
     gyros = embedded(Samples)
     accels = embedded(Samples)
     levels = embedded(Levels)
-    velocity = array(REAL, 3)  # the last one, north, east, down, m/s; NaN where not known
+    velocity = array(REAL, 3)  # last velocity, north, east, down, m/s; NaN if unknown
     moved: Time = -LASTS  # s, when that was
     bins = array(Bin, WAITING)  # by number of the tick
     origin: Time = 0.0  # s, end of tick 0
     vibration = embedded(Vibration)
     before = array(TIME, 3)  # sum of the accelerometer over the half second before the next sample of the vibration
-    fed: int = 0  # of the samples that are kept: how many the vibration has had
-    tail: int = 0  # where that half second begins
-    next: int = 0  # number of the tick that comes next
-    last: int = -1  # number of the last whose commands are complete, -1: none
+    fed: int = 0  # stored samples already used for the vibration
+    tail: int = 0  # start of that half second
+    next: int = 0  # number of the next tick
+    last: int = -1  # number of the last tick with complete commands, -1: none
     commanded: int = 0  # number of the last tick that commands have completed
-    gap_from: int = -1  # ticks that are left out
+    gap_from: int = -1  # ticks left out
     gap_to: int = -1
     begun: bool = False
 
     def thrust(self, v: Vehicle, p: Plan, time: Time, thrust: Reals, ok: bool) -> None:
-        """Thrusts that were commanded at `time` s, shares of full thrust; ok: all are known."""
+        """Add thrusts commanded at `time` s, shares of full thrust; ok: all are known."""
         if not self.begun:
             self.begun = True
             self.origin = floor((time - p.phase) / p.dt) * p.dt + p.phase + 0.5 * p.dt
@@ -239,21 +239,21 @@ class Sense(Struct):
                         one.total[i] += thrust[i]
                     one.when += time - self.origin
                     one.count += 1
-        if self.last >= 0 and at - self.commanded > 2 * _gap(p):  # nothing flies in a longer gap
+        if self.last >= 0 and at - self.commanded > 2 * _gap(p):  # a longer gap holds no flight
             self.gap_from = self.commanded + _gap(p)
             self.gap_to = at - _gap(p)
             if self.next >= self.gap_from:
                 self.next = self.gap_to
             self.last = at
         else:
-            self.last = max(self.last, at)  # the first tick is the one that the first command is in
+            self.last = max(self.last, at)  # the first tick contains the first command
         self.commanded = at
 
     def accel(self, time: Time, x: Real, y: Real, z: Real) -> None:
         """Specific force, m/s^2."""
         if self.accels.count == MOTION_SAMPLES:
             oldest = self.accels.place(0)
-            self._shake(self.accels.time[oldest] + BEFORE_S)  # what needs the sample that goes is counted first
+            self._shake(self.accels.time[oldest] + BEFORE_S)  # process everything that needs the sample to be removed
             if self.tail == 0:
                 self._forget(oldest)
                 self.tail = 1
@@ -264,14 +264,14 @@ class Sense(Struct):
             self.accels.add(time, x, y, z)
 
     def moves(self, time: Time, north: Real, east: Real, down: Real) -> None:
-        """Velocity, m/s; NaN: not known."""
+        """Velocity, m/s; NaN: unknown."""
         self.velocity[0] = north
         self.velocity[1] = east
         self.velocity[2] = down
         self.moved = time
 
     def attitude(self, time: Time, w: Real, x: Real, y: Real, z: Real) -> None:
-        """Attitude quaternion, body to world, scalar first; NaN: not known."""
+        """Attitude quaternion, body to world, scalar first; NaN: unknown."""
         if isnan(x) or isnan(y):
             return
         level = 1.0 - 2.0 * (x * x + y * y)
@@ -281,7 +281,7 @@ class Sense(Struct):
         self.levels.add(time, level, axial if known else NAN)
 
     def ready(self, p: Plan, now: Time) -> bool:
-        """Whether the next tick can be made at `now` s. Motion that is late is not awaited for ever, nor for more ticks than may wait."""
+        """Return whether the next tick can be made at `now` s. Late motion is awaited for a limited time and number of ticks."""
         if not self.begun:
             return False
         quiet = NO_COMMAND_S
@@ -297,7 +297,7 @@ class Sense(Struct):
         return not p.accel or self.accels.newest() + SUM_S >= motion + max(p.accel_half, 0.5 * p.dt)
 
     def measure(self, v: Vehicle, p: Plan, out: Sensed) -> None:
-        """The next tick."""
+        """Make the next tick."""
         end = self._end(p)
         half = 0.5 * p.dt
         one = self.bins[self.next % WAITING]
@@ -325,7 +325,7 @@ class Sense(Struct):
             self.gap_from = -1
 
     def _turn(self, p: Plan, centre: Time, out: Sensed) -> None:
-        """Angular rate, and its slope: the difference of two short means around the ends, which keeps the noise of single samples out."""
+        """Angular rate and its slope: the difference of two short means around the ends, which averages the noise of single samples."""
         total = local(TIME, 3)
         first = local(TIME, 3)
         last = local(TIME, 3)
@@ -341,7 +341,7 @@ class Sense(Struct):
         out.rate_ok = self.gyros.covers(begin, stop, p.gyro_least)
 
     def _push(self, p: Plan, centre: Time, out: Sensed) -> None:
-        """Specific force, and vibration."""
+        """Specific force and vibration."""
         total = local(TIME, 3)
         begin = centre - p.accel_half
         stop = centre + p.accel_half
@@ -359,7 +359,7 @@ class Sense(Struct):
             out.side[1] = real(total[1] / SIDE_S)
 
     def _shake(self, until: Time) -> None:
-        """Vibration up to a time, as far as samples have come."""
+        """Update the vibration up to a time, as far as samples have arrived."""
         while self.fed < self.accels.count:
             k = self.accels.place(self.fed)
             if self.accels.time[k] > until:
@@ -367,7 +367,7 @@ class Sense(Struct):
             while self.tail < self.fed and self.accels.time[self.accels.place(self.tail)] < self.accels.time[k] - BEFORE_S:
                 self._forget(self.accels.place(self.tail))
                 self.tail += 1
-            if self.tail == self.fed:  # sums of nothing are nothing, whatever was rounded
+            if self.tail == self.fed:  # empty sums are exactly zero, whatever the rounding
                 self.before[0] = 0.0
                 self.before[1] = 0.0
                 self.before[2] = 0.0
@@ -384,10 +384,10 @@ class Sense(Struct):
         self.before[2] -= self.accels.z[k]
 
     def _end(self, p: Plan) -> Time:
-        """Time at which the last command counts in the next tick."""
+        """Latest time of a command that counts in the next tick."""
         return self.origin + p.dt * self.next
 
 
 def _gap(p: Plan) -> int:
-    """Ticks that are made after the last command and before the next one of a long gap."""
+    """Number of ticks made after the last command and before the next one of a long gap."""
     return int(GAP_S / p.dt + 0.5)

@@ -1,4 +1,4 @@
-"""From what was measured in a tick, and whether the vehicle flew, to what the estimator gets.
+"""From the measurements of a tick, and whether the vehicle flew, to the estimator's input.
 
 Units: thrusts in hover thrusts of one rotor (the mean command that carries the weight is 1), found from the first second in the air and
 then kept for that flight. All frames body FRD.
@@ -13,42 +13,42 @@ from rotorwatch.engine.intake.sense import Plan, Sensed
 from rotorwatch.engine.intake.sizes import ROTORS, SETTLING
 
 GROUND, LEARN, JUDGE = 0, 1, 2
-AGAIN = 2  # in the place of a restart: the trim is learned afresh, what is known to be lost stays
+AGAIN = 2  # in place of a restart: the trim is learned again, known losses stay
 
-HOVER_LEARN_S = 1.0  # after lift-off: the first second gives the hover command and is not judged
+HOVER_LEARN_S = 1.0  # after lift-off: the first second gives the hover command and is not evaluated
 TUMBLE_S = 0.3  # of tumbling, after which a vehicle does not hover again in this flight
-UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, hover physics is over
+UPSET_RATE = 6.0  # rad/s of roll or pitch rate: the vehicle tumbles, the hover model no longer applies
 UPSET_LEVEL = 0.42261826174069944  # cosine of 65 degrees
-# Hover thrusts that a rotor is commanded on average, below which the vehicle falls or has landed: its rotors' balance says nothing.
+# Mean command in hover thrusts below which the vehicle falls or has landed: the balance of its rotors is not informative.
 CARRIES = 0.3
 CONTROLLED_SHARE, CONTROLLED_RATE = 0.9, 2.0  # of full thrust, and rad/s: below both a vehicle is under control
 LEAST_HOVER = 0.02
-LEAST_SEEN = 0.5  # share of the blind time after lift-off in which commands must be known; judging waits for that
+LEAST_SEEN = 0.5  # share of the blind time after lift-off in which commands must be known; evaluation waits for that
 
 
 class Made(Struct):
-    """A tick as the estimator gets it."""
+    """A tick as the estimator's input."""
 
-    time: Time = 0.0  # s, when everything in it was known
+    time: Time = 0.0  # s, when the whole tick was known
     when: Time = 0.0  # s, mean time of its commands
-    start: Time = LASTS  # s, since when the vehicle flies; LASTS on the ground
+    start: Time = LASTS  # s, start of the flight; LASTS on the ground
     thrust = array(REAL, ROTORS)  # hover thrusts
     wrench = array(REAL, 4)  # commanded roll, pitch, yaw torque and thrust, hover thrusts of one rotor
     rate = array(REAL, 3)  # rad/s
     rate_dot = array(REAL, 3)  # rad/s^2
     load: Real = 1.0  # specific force up over g
     side = array(REAL, 2)  # m/s^2 forward and right, mean of half a second
-    axial: Real = NAN  # m/s along the thrust axis, above 0 where it climbs along it; NaN where it is not known
-    hover: Real = 1.0  # mean share of full thrust per rotor that one unit of thrust stands for
-    valid = array(FLAG, 4)  # which of the wrench counts
+    axial: Real = NAN  # m/s along the thrust axis, positive when climbing along it; NaN if unknown
+    hover: Real = 1.0  # hover thrust: mean share of full thrust per rotor per unit of thrust
+    valid = array(FLAG, 4)  # valid components of the wrench
     mode: int = GROUND
     restart: bool = False  # first tick of a flight
-    upset: bool = False  # the vehicle tumbles, or has done so in this flight
-    some: bool = False  # there were commands
+    upset: bool = False  # the vehicle tumbles, or has tumbled in this flight
+    some: bool = False  # commands were received
     touch = embedded(Touch)
 
     def ground(self) -> None:
-        """It lies on the ground."""
+        """Set the tick to on the ground."""
         self.start = LASTS
         self.mode = GROUND
         self.upset = False
@@ -58,23 +58,22 @@ class Made(Struct):
 
 
 class Ticks(Struct):
-    """What ticks leave to those that follow."""
+    """State carried from tick to tick."""
 
     contact = embedded(Contact)
-    flight: Time = LASTS  # s, start of the flight whose first second is on; LASTS without
-    hop: Time = -LASTS  # s, start of the flight that the last tick was in
+    flight: Time = LASTS  # s, start of the flight whose first second is in progress; LASTS without
+    hop: Time = -LASTS  # s, start of the flight of the last tick
     settling = array(REAL, SETTLING)  # share of full thrust over load factor, sorted
-    hover: Real = 1.0  # share of full thrust that carries the vehicle
+    hover: Real = 1.0  # share of full thrust at hover
     flown: int = 0  # ticks with commands in this flight
     learned: int = -1  # ticks of controlled flight since the last contact of this flight, -1 without one
     hover_samples: int = 0
-    tumbling: int = 0  # ticks in a row
-    tumbled: bool = False  # the vehicle has tumbled in this flight: what follows is a fall
+    tumbling: int = 0  # consecutive ticks
+    tumbled: bool = False  # the vehicle has tumbled in this flight: the rest is a fall
     begun: bool = False
 
     def learn_hover_thrust(self, v: Vehicle, row: Sensed, start: Time) -> None:
-        """Before the first tick of a flight is made: every row with start <= when < start + 1 s, in order. What carries the vehicle is
-        learned from them."""
+        """Learn the hover thrust before the first tick of a flight is made, from every row with start <= when < start + 1 s, in order."""
         if self.flight < start or self.flight > start:
             self.flight = start
             self.hover_samples = 0
@@ -88,7 +87,7 @@ class Ticks(Struct):
         _insert(self.settling, self.hover_samples, total / real(v.rotors) / load)
 
     def assemble(self, v: Vehicle, p: Plan, row: Sensed, start: Time, out: Made) -> None:
-        """One row, in order, on the ground too. start: of the flight that it lies in (time >= start + 1 s and when <= its end), else
+        """Make a tick from a row, in order, on the ground too. start: of its flight (time >= start + 1 s and when <= its end), else
         LASTS."""
         begins = start < self.hop or start > self.hop
         # A flight in whose first second nothing is commanded begins with its first commands.
@@ -113,7 +112,7 @@ class Ticks(Struct):
             self.flown = 0
             self.hover_samples = 0
         self.flown += 1 if inside and row.some else 0
-        # Ticks without commands teach nothing of the vehicle; single ones are missing in many a log.
+        # Nothing is learned from ticks without commands; many logs miss single ones.
         ready = row.time >= start + p.ready and self.flown >= int(LEAST_SEEN * (p.ready - HOVER_LEARN_S) / p.dt)
         out.mode = GROUND if not inside else JUDGE if ready else LEARN
         self._tumble(p, row, inside, out)
@@ -133,7 +132,7 @@ class Ticks(Struct):
         self._touch(v, p, row, fresh, out)
 
         fastest = max(abs(row.rate[0]), max(abs(row.rate[1]), abs(row.rate[2])))
-        # A vehicle that spins or has outputs near their limits is not what its trim can be learned from.
+        # The trim cannot be learned while the vehicle spins or has outputs near their limits.
         if out.touch.hit:
             self.learned = 0
         elif self.learned >= 0 and fresh and most < CONTROLLED_SHARE and fastest < CONTROLLED_RATE:
@@ -154,11 +153,11 @@ class Ticks(Struct):
         out.side[1] = row.side[1]
 
     def _learn_hover(self, v: Vehicle, p: Plan, row: Sensed) -> None:
-        """What carries the vehicle from the start of this flight on."""
+        """Set the hover thrust for a new flight."""
         level = p.hover
         if not level > 0.0 and self.hover_samples > 0:
             level = _middle(self.settling, self.hover_samples)
-        if not level > 0.0:  # nothing was commanded in its first second
+        if not level > 0.0:  # no command in its first second
             for k in range(v.rotors):
                 _insert(self.settling, k + 1, row.share[k])
             level = _middle(self.settling, v.rotors)
@@ -166,7 +165,7 @@ class Ticks(Struct):
         self.flight = LASTS
 
     def _tumble(self, p: Plan, row: Sensed, inside: bool, out: Made) -> None:
-        """Once tumbling, never hovering again in this flight: what follows is a fall, not evidence."""
+        """Detect tumbling. After it the vehicle does not hover again in this flight: the rest is a fall, not evidence."""
         width = max(2, int(TUMBLE_S / p.dt + 0.5))
         upset = max(abs(row.rate[0]), abs(row.rate[1])) > UPSET_RATE or row.level < UPSET_LEVEL
         self.tumbling = min(self.tumbling + 1, width) if inside and upset else 0
@@ -174,7 +173,7 @@ class Ticks(Struct):
         out.upset = upset or (self.tumbled and inside)
 
     def _touch(self, v: Vehicle, p: Plan, row: Sensed, fresh: bool, out: Made) -> None:
-        """Whether something outside pushed the vehicle."""
+        """Return whether an external force or torque acted on the vehicle."""
         shove = Shove()
         shove.time = row.time
         for k in range(v.rotors):
@@ -192,7 +191,7 @@ class Ticks(Struct):
 
 
 def _insert(x: Reals, count: int, value: Real) -> None:
-    """One more value into x, which is sorted; `count` of them then."""
+    """Insert a value into the sorted x; `count` values then."""
     i = count - 1
     while i > 0 and x[i - 1] > value:
         x[i] = x[i - 1]
@@ -201,5 +200,5 @@ def _insert(x: Reals, count: int, value: Real) -> None:
 
 
 def _middle(x: Reals, count: int) -> Real:
-    """Median of x, which is sorted."""
+    """Median of the sorted x."""
     return x[count // 2] if count % 2 == 1 else 0.5 * (x[count // 2 - 1] + x[count // 2])

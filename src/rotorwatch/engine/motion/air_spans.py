@@ -1,7 +1,7 @@
-"""When a flight was in the air: the definition of engine/intake/airborne.py over a whole log.
+"""Flights of a whole log, by the definition in engine/intake/airborne.py.
 
-Strictly causal, so that a log cut at t gives the same intervals cut at t. Two exceptions, both about ends: an interval's end is put where
-the landing or the fall began to show, up to `CONFIRM_S` before it was certain; and an interval that still lasts ends with the log.
+Strictly causal, so that a log cut at t gives the same intervals cut at t. Two exceptions, both about ends: an interval ends where the
+landing or the fall began to show, up to `CONFIRM_S` before it was certain; and an interval in progress ends with the log.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ BATCH = 16384  # samples in one call: fewer flights than sizes.FLIGHTS fit in
 def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
     """Intervals (start s, end s) in the air, in time order; empty without motor commands.
 
-    flight: needs `motors`; landings, velocity and position are used where the log has them.
-    A flight that the log does not see end, ends with the last motor command. Starts are when lift-off is certain, late
-    rather than early (a few tenths of a second); ends are where the landing or crash began to show.
+    flight: needs `motors`; landings, velocity and position are used where the log has them. A flight whose end is not in the log ends
+    with the last motor command. Starts are when lift-off is certain, late rather than early (a few tenths of a second); ends are where
+    the landing or crash began to show.
     """
     if not flight.has("motors") or np.count_nonzero(np.asarray(flight["motors"].valid).any(axis=1)) < 2:
         return ()
@@ -49,7 +49,7 @@ def airborne(flight: Flight) -> tuple[tuple[float, float], ...]:
 
 
 def _ended(follow) -> list[tuple[float, float]]:
-    """Flights that have ended since it was asked last."""
+    """Flights that have ended since the last call."""
     count = int(follow["ended"][0])
     if not count:
         return []
@@ -61,8 +61,8 @@ def _ended(follow) -> list[tuple[float, float]]:
 
 
 class Gap(NamedTuple):
-    """Commands that a log lacks in the air. rotors: 1-based; start, end: from the last command of these before it, or from lift-off, to the
-    first after it, or to the end of the flight [s]; first: none comes before it in this flight; lasts: none after it."""
+    """Commands that a log lacks in the air. rotors: 1-based; start, end: from the last command of these before it, or from lift-off, to
+    the first after it, or to the end of the flight [s]; first: none before it in this flight; lasts: none after it."""
 
     rotors: tuple[int, ...]
     start: float
@@ -72,10 +72,10 @@ class Gap(NamedTuple):
 
 
 def gaps(flight: Flight, air) -> tuple[Gap, ...]:
-    """Each gap of more than `GAP_S` in the commands of one rotor or more within an interval in the air, in the order of time.
+    """Gaps of more than `GAP_S` in the commands of one or more rotors within an interval in the air, in time order.
 
-    A flight ends with its last command; where no landing shows by then, the log's motion goes on, and nothing says that it is on the
-    ground, a gap of all rotors follows.
+    A flight ends with its last command; where no landing shows by then, the log's motion continues, and nothing indicates ground contact,
+    a gap of all rotors follows.
     """
     motors, found = flight["motors"], dict[tuple[float, float, bool, bool], list[int]]()
     for start, end in air:
@@ -97,7 +97,7 @@ def gaps(flight: Flight, air) -> tuple[Gap, ...]:
 
 
 def commands(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Times (n,) s at which motor commands are known, and the root mean square of the commands as shares of their range (n,)."""
+    """Times (n,) s with known motor commands, and the root mean square of the commands as shares of their range (n,)."""
     motors, (low, high) = flight["motors"], output_range(flight)
     valid = np.asarray(motors.valid)
     share = np.where(valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)

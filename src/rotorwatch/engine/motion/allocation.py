@@ -1,13 +1,13 @@
-"""From logged commands to rotor thrusts, and which rotors their thrusts cannot distinguish.
+"""From logged commands to rotor thrusts, and sets of rotors that their thrusts cannot distinguish.
 
-A rotor's command u is logged slowly (ArduPilot: 10 Hz), the rate controller's output c = (roll, pitch, yaw, throttle)
-often fast. The autopilot turns c into thrust demands with its mixer M and its gain g (air density),
+A rotor's command u is logged slowly (ArduPilot: 10 Hz), the rate controller's output c = (roll, pitch, yaw, throttle) often fast. The
+autopilot turns c into thrust demands with its mixer M and its gain g (air density),
 
-    t = g M c,        m(u) = t        with m the thrust curve the autopilot believes in (battery compensation included),
+    t = g M c,        m(u) = t        with m the thrust curve assumed by the autopilot (battery compensation included),
 
-so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f;
-PX4 often believes in a straight line (THR_MDL_FAC 0) that no motor follows: ``vehicle.extra["mixer_expo"]``. The definition of that is
-engine/intake/mixer.py; here it runs over a whole flight.
+so that the slow m(u) verifies and scales a fast rebuilt t, from which u and the thrust f(u) follow. ArduPilot's m is f; PX4 often assumes
+a straight line (THR_MDL_FAC 0) that no motor follows: ``vehicle.extra["mixer_expo"]``. engine/intake/mixer.py defines this; here it runs
+over a whole flight.
 
 All functions here are causal: a value at time s uses nothing logged after s.
 """
@@ -29,16 +29,16 @@ from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve, Vehicle
 
 Spans = tuple[tuple[float, float], ...]
-FASTER = 1.5  # times as many samples of the one as of the other
-COARSE, ENOUGH_STEPS = 0.02, 100  # share of the range below which outputs never change, seen in so many changes
-YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM where nothing tells: ArduPilot's default
+FASTER = 1.5  # ratio of their numbers of samples
+COARSE, ENOUGH_STEPS = 0.02, 100  # share of the range below which outputs never change, seen over so many changes
+YAW_HEADROOM = 200.0  # MOT_YAW_HEADROOM where it is not logged: ArduPilot's default
 
 
 def motor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
     """Share of full thrust f(u) of every rotor, columns r1..rN, unit 1, at the times of signal ``motors``.
 
-    The battery ratio is the last one logged (signal ``lift``), 1 where none is; an airframe whose ``extra`` has
-    ``full_voltage`` drives its motors straight from the battery, whose voltage (signal ``battery``) then counts.
+    The battery ratio is the last one logged (signal ``lift``), 1 where none is; an airframe whose ``extra`` has ``full_voltage`` drives
+    its motors straight from the battery, so its voltage (signal ``battery``) is used.
     """
     motors = flight["motors"]
     ratio, full = battery_ratio(flight, motors.time), vehicle.extra.get("full_voltage")
@@ -51,7 +51,7 @@ def motor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
 
 
 def voltages(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """(time (m,), (m, 1)): battery voltage as a share of full, filtered by the autopilot, where it was logged and can be."""
+    """(time (m,), (m, 1)): battery voltage as a share of full, filtered by the autopilot, where it was logged."""
     lift = flight.signals.get("lift")
     if lift is None or "voltage_ratio" not in lift.columns:
         return np.empty(0), np.empty((0, 1))
@@ -77,12 +77,12 @@ def hold(time: np.ndarray, values: np.ndarray, at: np.ndarray, before: float = 0
 
 
 def rotor_thrusts(flight: Flight, vehicle: Vehicle) -> Signal:
-    """The better of the two: `mixed_thrusts` where it can be trusted, the last `motor_thrusts` elsewhere."""
+    """Rotor thrusts: `mixed_thrusts` where valid, the last `motor_thrusts` elsewhere."""
     return better(motor_thrusts(flight, vehicle), mixed_thrusts(flight, vehicle))
 
 
 def better(logged: Signal, mixed: Signal | None) -> Signal:
-    """The rebuilt thrusts where they can be trusted, the last logged ones elsewhere, in the place of those that were rebuilt."""
+    """Rebuilt thrusts where valid, with the last logged ones in place of the others."""
     if mixed is None:
         return logged
     rows, values, valid = np.flatnonzero(~mixed.whole), mixed.values, mixed.valid
@@ -94,12 +94,11 @@ def better(logged: Signal, mixed: Signal | None) -> Signal:
 
 
 def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
-    """Rotor thrusts rebuilt from the rate controller's output, at its times; None when that brings nothing.
+    """Rotor thrusts rebuilt from the rate controller's output, at its times; None when that adds nothing.
 
-    Columns and unit as in `motor_thrusts`. None: no ``control`` signal, or it is not faster than ``motors``. ``valid``
-    is False where the rebuilt thrust is not to be trusted and the last logged command is better: outputs that reach
-    their limits, yaw beyond the mixer's headroom, and any rotor whose last logged command differed by more than 0.05 of
-    full thrust (thrust boost, spool-up, an output that is overridden).
+    Columns and unit as in `motor_thrusts`. None: no ``control`` signal, or it is not faster than ``motors``. ``valid`` is False where the
+    last logged command is better than the rebuilt thrust: outputs that reach their limits, yaw beyond the mixer's headroom, and any rotor
+    whose last logged command differed by more than 0.05 of full thrust (thrust boost, spool-up, an overridden output).
     """
     if not faster_control(flight):
         return None
@@ -112,8 +111,8 @@ def mixed_thrusts(flight: Flight, vehicle: Vehicle) -> Signal | None:
 
 
 def faster_control(flight: Flight) -> bool:
-    """Is the rate controller's output logged so much faster than the rotors' commands that these are worth rebuilding from it, or so much
-    finer, as these are rounded?"""
+    """Return whether the rate controller's output is logged so much faster than the rotors' commands, or, as these are rounded, so much
+    finer, that thrusts are worth rebuilding from it."""
     if not flight.has("control", "motors"):
         return False
     control, motors = flight["control"], flight["motors"]
@@ -126,12 +125,12 @@ def faster_control(flight: Flight) -> bool:
 
 
 class Comparison(NamedTuple):
-    """Logged against rebuilt demand at the m motor samples that have control samples around them.
+    """Logged and rebuilt demand at the m motor samples that have control samples around them.
 
-    time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has come).
-    demand (m, n): logged m(u). demanded (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the
-    limits. yaw_granted (m,): the mixer grants all of the yaw. gain (m,): of the mixer, as it is known right after this sample. rows: the
-    same as the definitions take them.
+    time (m,): of the motor sample. known (m,): when its comparison could be made (the later control sample has arrived). demand (m, n):
+    logged m(u). demanded (m, n): rebuilt, as if outputs had no limits. deviation (m, n): logged minus rebuilt within the limits.
+    yaw_granted (m,): the mixer grants the whole yaw demand. gain (m,): of the mixer, estimated right after this sample. rows: the same in
+    the definitions' form.
     """
 
     time: np.ndarray
@@ -145,16 +144,15 @@ class Comparison(NamedTuple):
 
 
 def compare(flight: Flight, vehicle: Vehicle) -> Comparison:
-    """Hold the rebuilt demands against the logged ones, learning the mixer's gain (or, for a mixer that is not known,
-    all of its factors) on the way. Needs signals ``motors`` and ``control``."""
+    """Compare the rebuilt demands with the logged ones and learn the mixer's gain (all factors of an unknown mixer) meanwhile. Needs
+    signals ``motors`` and ``control``."""
     rows, _, _ = _mixed(flight, vehicle)
     demand, demanded, deviation = (rows[name][:, : len(vehicle.rotors)] for name in ("thrust", "demanded", "deviation"))
     return Comparison(rows["time"], rows["known"], demand, demanded, deviation, rows["yaw_granted"], rows["gain"], rows)
 
 
 def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarray]:
-    """front.mixer over a flight: its comparisons, and of each sample of the rate controller the thrusts (N, n) and whether they are
-    valid."""
+    """Run front.mixer over a flight: its comparisons, and for each sample of the rate controller the thrusts (N, n) and their validity."""
     control, n = flight["control"], len(vehicle.rotors)
     parts = [Part.of(flight, "motors"), Part.of(flight, "control", 4), Part("voltage", *voltages(flight))]
     state, craft, done = ENGINE.new(mixer.Mixer), laid_out(vehicle, flight), ENGINE.new(calls.Done)
@@ -173,13 +171,13 @@ def _mixed(flight: Flight, vehicle: Vehicle) -> tuple[Rows, np.ndarray, np.ndarr
 
 
 def laid_out(vehicle: Vehicle, flight: Flight) -> Rows:
-    """The vehicle as the definitions take it."""
+    """The vehicle in the definitions' form."""
     headroom = flight.parameters.get("MOT_YAW_HEADROOM", YAW_HEADROOM)
     return craft(len(vehicle.rotors), **table(vehicle, output_range(flight), headroom))
 
 
 def table(vehicle: Vehicle, output: tuple[float, float], headroom: float = YAW_HEADROOM) -> dict[str, Any]:
-    """The fields of front.vehicle.Vehicle. output: ends of the outputs' range as the autopilot counts it, in their unit."""
+    """The fields of front.vehicle.Vehicle. output: ends of the outputs' range as defined by the autopilot, in their unit."""
     n, curve = len(vehicle.rotors), vehicle.curve
     return {
         "effectiveness": vehicle.effectiveness(), "mixer": np.zeros((n, 4)) if vehicle.mixer is None else np.asarray(vehicle.mixer, float),
@@ -190,7 +188,7 @@ def table(vehicle: Vehicle, output: tuple[float, float], headroom: float = YAW_H
 
 
 def output_range(flight: Flight) -> tuple[float, float]:
-    """Ends of the outputs' range as the autopilot counts it, in their unit."""
+    """Ends of the outputs' range as defined by the autopilot, in their unit."""
     if flight["motors"].unit != "us":
         return 0.0, 1.0
     for ends in (flight.facts, ("pwm_min", "pwm_max")), (flight.parameters, ("MOT_PWM_MIN", "MOT_PWM_MAX")):
@@ -201,12 +199,12 @@ def output_range(flight: Flight) -> tuple[float, float]:
 
 
 def yaw_always(headroom: float = YAW_HEADROOM) -> float:
-    """Yaw that ArduPilot's mixer grants whatever else is demanded: its parameter MOT_YAW_HEADROOM, in thousandths, within its limits."""
+    """Yaw that ArduPilot's mixer grants in any case: its parameter MOT_YAW_HEADROOM, in thousandths, within its limits."""
     return float(np.clip(np.nan_to_num(headroom, nan=YAW_HEADROOM), 100.0, 500.0)) / 1000.0
 
 
 def mixer_curve(vehicle: Vehicle) -> ThrustCurve:
-    """The thrust curve the autopilot's mixer reckons with; the vehicle's own unless ``extra`` has ``mixer_expo``."""
+    """Thrust curve assumed by the autopilot's mixer; the vehicle's own unless ``extra`` has ``mixer_expo``."""
     return replace(vehicle.curve, expo=float(vehicle.extra.get("mixer_expo", vehicle.curve.expo)))
 
 
@@ -218,7 +216,7 @@ def drive(expo: float, thrust: np.ndarray) -> np.ndarray:
 
 
 def within(time: np.ndarray, spans: Spans) -> np.ndarray:
-    """(n,) bool: which times lie in one of the spans."""
+    """(n,) bool: times within one of the spans."""
     inside = np.zeros(len(time), bool)
     for start, end in spans:
         inside |= (time >= start) & (time < end)
@@ -238,9 +236,9 @@ def ambiguous_sets(effectiveness: np.ndarray, size: int = 2) -> tuple[tuple[tupl
     found = []
     for one, other in itertools.combinations(sets, 2):
         if set(one) & set(other):
-            continue  # what they share cancels: the rest is a pair of smaller sets
+            continue  # common rotors cancel: the rest is a pair of smaller sets
         columns = np.concatenate([effectiveness[:, one], -effectiveness[:, other]], axis=1)
-        # Cheap refusal first: no solution at all unless the columns depend on each other.
+        # Cheap test first: there is no solution unless the columns are linearly dependent.
         if np.linalg.svd(columns, compute_uv=False)[-1] > 1e-9 and columns.shape[1] <= columns.shape[0]:
             continue
         answer = linprog(np.ones(columns.shape[1]), A_eq=columns, b_eq=np.zeros(len(columns)), bounds=(1, None))

@@ -1,4 +1,4 @@
-"""Gyro, attitude and the rates that the controller used: three measurements of one turning, held against each other."""
+"""Gyro, attitude and the rates used by the controller: three measurements of one rotation, compared."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from rotorwatch.engine.motion import turning
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Signal
 
-MOVING = 0.05  # rad/s rms of angular rate, above which attitude and gyro that do not agree tell of different turns
-# Parts of a flight in which biases stay, windows in a row that may have the same error, and how many standard errors a scale is given
+MOVING = 0.05  # rad/s rms of angular rate, above which a mismatch of attitude and gyro means different rotations
+# Parts of a flight with constant biases, consecutive windows that may share an error, and the number of standard errors allowed for a
+# scale
 PARTS, ALIKE_FOR, ERRORS = 10, 5, 3.0
 WINDOW_S = 0.2  # s over which gyro and attitude are compared
 PART_S = 10.0  # parts of a flight in which gyro and attitude are compared
-# Share of the turning that no choice of axes explains, and how many times as much the gyro's own axes leave
+# Share of the rotation that no choice of axes explains, and the factor by which the gyro's own axes must be worse
 OF_AXES, AXES_BETTER = 0.15, 4.0
 AXES = ("roll", "pitch", "yaw")
 
@@ -24,8 +25,8 @@ AXES = ("roll", "pitch", "yaw")
 def turns(
     attitude: Signal, gyro: Signal, air: Spans, lags: Sequence[float] | np.ndarray = (0.0,)
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), by so
-    many s later."""
+    """Windows in the air: times (m,) s, mean angular rates rad/s, body, from the attitude (m, 3), and from the gyro (lags, m, 3), later
+    by so many s."""
     none = np.zeros(0), np.zeros((0, 3)), np.zeros((len(lags), 0, 3))
     fine = attitude.whole & within(attitude.time, air)
     step, rows = max(1, round(WINDOW_S * attitude.rate_hz)), np.flatnonzero(fine)
@@ -45,7 +46,7 @@ def turns(
     angle = turning.between(a, b)
     mean = np.empty((len(lags), len(starts), 3))
     total, steps = np.zeros(len(when)), np.diff(when)
-    for axis in range(3):  # one after the other: of a long flight one is long enough
+    for axis in range(3):  # axes one after the other, to save memory in long flights
         np.add(rate[1:, axis], rate[:-1, axis], out=total[1:])
         total *= 0.5
         total[1:] *= steps
@@ -108,7 +109,7 @@ def alike_at(turns: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarr
 
 
 def scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
-    """(least, most) by which one measurement (n,) of a motion is larger than another (n,), both with unknown errors of their own.
+    """(least, most) ratio of one measurement (n,) of a motion to another (n,), both with unknown errors.
 
     The slope on `true` is too low by the errors of `true`, the inverse of the slope on `measured` too high by those of `measured`, each
     with its standard error, as `ALIKE_FOR` neighbours in time may have the same error. Biases of parts of the flight are left out.
@@ -116,7 +117,7 @@ def scale(measured: np.ndarray, true: np.ndarray) -> tuple[float, float]:
     x, y = (np.concatenate([part - part.mean() for part in np.array_split(z, PARTS)]) for z in (measured, true))
 
     def least_slope(a: np.ndarray, b: np.ndarray) -> float:
-        """Of a on b."""
+        """Slope of a on b, less its standard errors."""
         power = max(float(b @ b), 1e-30)
         slope = float(a @ b) / power
         return slope - ERRORS * float(np.sqrt(ALIKE_FOR * np.sum((b * (a - slope * b)) ** 2))) / power

@@ -1,4 +1,4 @@
-"""Knocks as people read them: what engine/intake/contact.py finds in each tick, as a list."""
+"""Knocks as a readable list: the contacts found by engine/intake/contact.py."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST_GAIN = np.array(definition.LEAST_GAIN)
 
 __all__ = ["G0", "LEAST_GAIN", "Contact", "contacts", "look_back"]
 
-# By number of what was done: unit of its size, and in words.
+# By kind of push: unit of its size, and wording.
 WORDS = (("hover thrusts of one rotor", "turned it"), ("g", "pushed it sideways"), ("g", "pushed it upwards"))
 
 
@@ -29,22 +29,22 @@ class Contact(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Of its size."""
+        """Unit of the size."""
         return WORDS[self.push][0]
 
     @property
     def what(self) -> str:
-        """What it did to the vehicle, in words."""
+        """Description of the effect on the vehicle."""
         return WORDS[self.push][1]
 
 
 def look_back(dt: float) -> int:
-    """Ticks before one that it is held against."""
+    """Number of earlier ticks that a tick is compared with."""
     return max(2, round(BEFORE_S / dt))
 
 
 def contacts(touch: Rows, before: tuple[Contact, ...] = ()) -> tuple[Contact, ...]:
-    """The contacts of ticks, after those `before`: each as large as its largest tick."""
+    """The contacts of ticks, after those `before`: each with the size of its largest tick."""
     found = list(before)
     new = np.flatnonzero(touch["is_new"])
     for time, size, push in zip(touch["time"][new], touch["size"][new], touch["push"][new]):

@@ -1,7 +1,7 @@
-"""Outputs that a log has missed: all of them repeat for a while, though others must have flown the vehicle.
+"""Outputs that a log has missed: all of them repeat for a while, though other outputs must have flown the vehicle.
 
-A logger that was late, or a bridge between two of them, shows the last outputs again. What repeats is not what flew, so it is marked as not
-known, as a gap is. Outputs that stand still for longer, or through much of a flight, are no slip of a log: `trust` judges these.
+A late logger, or a bridge between two of them, repeats the last outputs. The repeated values did not fly, so they are marked as unknown,
+like a gap. Outputs that stand still for longer, or through much of a flight, are no logging slip: `trust` tests these.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from rotorwatch.flight import Flight
 
 LEAST_S, MOST_S = 0.3, 5.0  # how long outputs repeat
 LEAST = 3  # samples that repeat
-RARE = 0.2  # share of a flight's outputs beyond which repeating is what the log is like
-ENOUGH = 64  # outputs that show how they follow the rate controller
+RARE = 0.2  # share of a flight's outputs beyond which repetition is normal in this log
+ENOUGH = 64  # outputs needed to learn how they follow the rate controller
 STEPS, SIGMAS = 2.0, 6.0  # steps of the outputs' resolution, and usual deviations, by which they would have changed
 ROTORS, AT_LIMIT = 2, 0.02  # at least so many of them; share of their range in the air at its ends
-LIVELY, CHANCE = 0.5, 1e-3  # share of the flight's usual turning, and how often chance may make such a run
-NAMED = 3  # times that a warning names
+LIVELY, CHANCE = 0.5, 1e-3  # share of the flight's usual rotation, and the accepted chance probability of such a run
+NAMED = 3  # times that a warning lists
 
 
 def without_missed(flight: Flight, air: Spans) -> Flight:
@@ -33,7 +33,7 @@ def without_missed(flight: Flight, air: Spans) -> Flight:
     again = np.zeros(len(motors), bool)
     again[1:] = (motors.values[1:] == motors.values[:-1]).all(axis=1) & inside[1:] & inside[:-1]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
-    runs = [(a - 1, b) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]  # from the sample that is repeated on
+    runs = [(a - 1, b) for a, b in edges.reshape(-1, 2) if b - a >= LEAST]  # from the repeated sample on
     runs = [(a, b) for a, b in runs if LEAST_S <= motors.time[b - 1] - motors.time[a] < MOST_S]
     if not runs or (inside & ~again).sum() < ENOUGH:
         return flight
@@ -58,9 +58,9 @@ def without_missed(flight: Flight, air: Spans) -> Flight:
 
 
 def _unlike_wanted(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: list) -> list:
-    """The runs [(begin, end), ...] in which the rate controller asks for other outputs.
+    """The runs [(begin, end), ...] in which the rate controller demands other outputs.
 
-    What it asks for is a straight line of its output (and its throttle squared), fitted to the rest of the flight.
+    The demand is a linear function of its output (and its throttle squared), fitted to the rest of the flight.
     """
     motors, control, moving = flight["motors"], flight["control"].wholes(), inside & ~again
     if len(control) < ENOUGH:
@@ -75,8 +75,8 @@ def _unlike_wanted(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: 
 
 
 def _unlike_motion(flight: Flight, inside: np.ndarray, again: np.ndarray, runs: list) -> list:
-    """The same where the log has no output of the rate controller: the vehicle turns about as it does elsewhere, where outputs do not rest
-    for so long."""
+    """The same where the log has no output of the rate controller: the vehicle turns about as much as elsewhere, where outputs do not
+    rest for so long."""
     if not flight.has("gyro"):
         return []
     time, gyro = flight["motors"].time, flight["gyro"]

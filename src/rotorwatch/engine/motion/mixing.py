@@ -1,15 +1,15 @@
-"""The mixer that flew: motor outputs held against the rate controller's output of the same moment.
+"""Test of the mixer that flew: motor outputs compared with the rate controller's output of the same time.
 
 An autopilot mixes the output c = (roll, pitch, yaw, throttle) of its rate controller into thrusts of all rotors, m(u) = g M c
-(engine/intake/mixer.py). A log that holds both u and c therefore shows which mixer flew, whatever the weather and whatever a rotor gives.
-Compared are differences between rotors, in windows of `WINDOW_S`, so that neither gain nor collective counts:
+(engine/intake/mixer.py). A log with both u and c therefore shows which mixer flew, whatever the weather and the condition of the rotors.
+Differences between rotors are compared, in windows of `WINDOW_S`, so that neither gain nor collective counts:
 
     cost[k, j] = sum (y_k - g d_j)^2 / sum y_k^2,        y of m(u),  d of M c,  g^2 = sum y^2 / sum d^2
 
-is 0 where output k follows the mixer's row j, 2 where they have nothing in common, 4 where they are opposite. Sound logs have costs of
-0.00 to 0.02 on the diagonal; loggers that note outputs and controller at different moments of the loop have up to 2 everywhere, so that
-nothing follows from them. Each window votes: in upsets, at limits and while an output is overridden no row fits, and where the vehicle
-only yaws, rotors of one sense of rotation fit alike.
+is 0 where output k follows the mixer's row j, 2 where they are unrelated, 4 where they are opposite. Sound logs have costs of 0.00 to
+0.02 on the diagonal; loggers that sample outputs and controller at different moments of the loop have up to 2 everywhere, and nothing
+follows from them. Each window votes: in upsets, at limits and while an output is overridden no row fits, and where the vehicle only yaws,
+rotors with the same direction of rotation fit alike.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
-WINDOW_S, LEAST, LEAST_WINDOWS = (4.0, 12, 3)  # length of a window, outputs in it, and windows with differences that can be seen
-RATE_HZ = 20.0  # of outputs that are looked at, at least, where there are so many
-PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them have no partner
-ROUNDED = 1e-6  # demand: differences between rotors below this are rounding of a demand that is the same for all
+WINDOW_S, LEAST, LEAST_WINDOWS = (4.0, 12, 3)  # length of a window, outputs in it, and windows with visible differences
+RATE_HZ = 20.0  # smallest number of outputs examined, where there are so many
+PAIR_S = 0.16  # outputs further than this from the rate controller's samples around them are not compared
+ROUNDED = 1e-6  # demand: differences between rotors below this are rounding of an equal demand on all
 SEEN = 0.0015  # share of full thrust: rms of differences between rotors, above what rounding to 1 us makes
-LIMIT = 0.01  # share of full thrust from its ends, within which a rotor may be limited
-FOLLOWS, STRAYS = 0.2, 0.4  # cost up to which an output follows a row of the mixer, and from which on it does not
-BETTER = 4.0  # times that another explanation must lower the cost
-LATEST_S, LAG_S, LATE_S = 3.0, 0.02, 0.06  # lags that are tried, in such steps; from which on an output is late
-OWN = 1.0  # nats for the frame's own order
+LIMIT = 0.01  # share of full thrust from its ends within which a rotor may be limited
+FOLLOWS, STRAYS = 0.2, 0.4  # cost up to which an output follows a row of the mixer, and from which it does not
+BETTER = 4.0  # factor by which another explanation must lower the cost
+LATEST_S, LAG_S, LATE_S = 3.0, 0.02, 0.06  # lags tried, in such steps; from which an output is late
+OWN = 1.0  # nats in favour of the frame's own order
 EXACT = 0.02  # cost below which a fit is no better
-NEARLY_ALL = 0.8  # share of the windows that tell two rows apart
-LEAST_FRAME, SHARE = 5, 0.2  # windows, and share of those that show anything, in which another mixer flew
-SCALES = 0.7, 1.7  # gain by differences of that by level; sound logs have 0.97 to 1.03, old firmware up to 1.5
+NEARLY_ALL = 0.8  # share of the windows that distinguish two rows
+LEAST_FRAME, SHARE = 5, 0.2  # windows, and share of the informative ones, in which another mixer flew
+SCALES = 0.7, 1.7  # gain by differences over that by level; sound logs have 0.97 to 1.03, old firmware up to 1.5
 ALIKE = 1.4  # factor between those of most windows
 STILL = 0.002  # share of the outputs' range: two microseconds
 SAME_S = 0.05  # lags of windows that differ by less are the same
@@ -47,8 +47,8 @@ SAME_S = 0.05  # lags of windows that differ by less are the same
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mixing:
-    """Outputs and what the rate controller asks for. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u);
-    output (m, n): u; control: all whole samples; mixer (n, 4)."""
+    """Outputs and the rate controller's demand. time (m,) s, of outputs in the air of which none is at a limit; thrust (m, n): m(u);
+    output (m, n): u; control: all complete samples; mixer (n, 4)."""
 
     time: np.ndarray
     thrust: np.ndarray
@@ -62,8 +62,8 @@ class Mixing:
         return np.flatnonzero(np.diff(np.floor(self.time / WINDOW_S), prepend=-np.inf))
 
     def costs(self, lag_s: float = 0.0, trim: bool = True) -> np.ndarray:
-        """(windows, n, n), NaN in windows that show too little. lag_s: by which outputs come later than what asks for them. trim: with the
-        means over each window, which tell nothing of time."""
+        """(windows, n, n), NaN in uninformative windows. lag_s: delay of outputs behind the demand. trim: include the means over each
+        window, which hold no information on time."""
         n, paired, control = len(self.mixer), *self._asked(lag_s)
         count = np.add.reduceat(paired, self.starts, dtype=float)
         y, d = (self._apart(x, paired, count, trim) for x in (self.thrust, control @ self.mixer.T))
@@ -73,12 +73,12 @@ class Mixing:
         seen = (count >= LEAST) & (power[0] > count * n * SEEN**2) & (power[1] > count * n * ROUNDED**2)
         gain = np.sqrt(power[0] / np.where(seen, power[1], np.inf))[:, None, None]
         cost = of_y[:, :, None] + gain**2 * of_d[:, None, :] - 2.0 * gain * both
-        # A rotor that moves less than the others is measured by these: rounding is all that it shows.
+        # For a rotor that moves less than the others, these set the scale: it shows only rounding.
         scale = np.maximum(of_y, 0.1 * power[0][:, None] / n)
         return np.where(seen[:, None, None], cost / np.maximum(scale, 1e-12)[:, :, None], np.nan)
 
     def unexplained(self) -> np.ndarray:
-        """(windows, n) share of each output's differences from the others that no mixer at all explains; 1 where too little is shown, or an
+        """(windows, n) share of each output's differences from the others that no mixer explains; 1 in uninformative windows, or where an
         output stands still, which shifts the mean of all."""
         paired, control = self._asked(0.0)
         y = self.thrust - self.thrust.mean(axis=1, keepdims=True)
@@ -91,8 +91,8 @@ class Mixing:
         return shares
 
     def scales(self) -> np.ndarray:
-        """(windows,) gain of the mixer by differences between rotors, of that by the level of their thrust: 1 where m is the curve that the
-        mixer reckoned with. NaN where outputs do not follow their rows."""
+        """(windows,) gain of the mixer by differences between rotors, over that by their mean thrust: 1 where m is the curve assumed by
+        the mixer. NaN where outputs do not follow their rows."""
         paired, control = self._asked(0.0)
         own = np.diagonal(self.costs(), axis1=1, axis2=2).max(axis=1)
         asked, scales = control @ self.mixer.T, np.full(len(self.starts), np.nan)
@@ -105,14 +105,14 @@ class Mixing:
         return scales
 
     def _asked(self, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) bool, whether the rate controller's output is known `lag_s` before an output, and that (m, 4)."""
+        """(m,) bool, where the rate controller's output is known `lag_s` before an output, and that output (m, 4)."""
         when, time = self.time - lag_s, self.control.time
         after = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
         paired = (np.abs(when - time[after - 1]) < PAIR_S) & (np.abs(time[after] - when) < PAIR_S)
         return paired, np.column_stack([np.interp(when, time, column) for column in self.control.values.T])
 
     def _apart(self, x: np.ndarray, paired: np.ndarray, count: np.ndarray, trim: bool) -> np.ndarray:
-        """(m, n) without its means over the rotors and, unless `trim`, over the paired rows of each window; 0 elsewhere."""
+        """(m, n) less its means over the rotors and, unless `trim`, over the paired rows of each window; 0 elsewhere."""
         x = np.where(paired[:, None], x - x.mean(axis=1, keepdims=True), 0.0)
         if trim:
             return x
@@ -122,7 +122,7 @@ class Mixing:
 
 
 def mixing(flight: Flight, vehicle: Vehicle, air: Spans) -> Mixing | None:
-    """What a flight shows of its mixer; None where it does not hold both signals, or its mixer is not known."""
+    """The mixing of a flight; None without both signals, or without a known mixer."""
     if vehicle.mixer is None or not flight.has("motors", "control"):
         return None
     motors, control = flight["motors"], flight["control"].wholes()
@@ -139,8 +139,9 @@ def mixing(flight: Flight, vehicle: Vehicle, air: Spans) -> Mixing | None:
 def order(costs: np.ndarray) -> tuple[int, ...] | None:
     """The row of the mixer that each output follows (0-based), where some follow those of other rotors; None where none does.
 
-    costs (windows, n, n), of `Mixing.costs`. The order is that of the least sum of log costs; every output that moves needs `LEAST_WINDOWS`
-    windows that tell its two rows apart, and nearly all of these must be for the other one."""
+    costs (windows, n, n), of `Mixing.costs`. The order is that of the least sum of log costs; every output that moves needs
+    `LEAST_WINDOWS` windows that distinguish its two rows, nearly all of them in favour of the other one.
+    """
     costs = costs[np.isfinite(costs[:, 0, 0])]
     if len(costs) < LEAST_WINDOWS:
         return None
@@ -156,10 +157,10 @@ def order(costs: np.ndarray) -> tuple[int, ...] | None:
 
 
 def _assigned(cost: np.ndarray) -> np.ndarray:
-    """(n,) a row of the mixer for each output, all different, of which no exchange of two lowers the sum of costs (n, n)."""
+    """(n,) a row of the mixer for each output, all different, for which no exchange of two lowers the sum of costs (n, n)."""
     n, rows = len(cost), np.full(len(cost), -1)
-    cost = cost - OWN * np.eye(n)  # rotors that are commanded alike stay where they are
-    for output, row in zip(*np.unravel_index(cost.argsort(axis=None), cost.shape)):  # the likeliest first
+    cost = cost - OWN * np.eye(n)  # rotors with equal commands keep their places
+    for output, row in zip(*np.unravel_index(cost.argsort(axis=None), cost.shape)):  # the most probable first
         if rows[output] < 0 and row not in rows:
             rows[output] = row
     while True:
@@ -172,17 +173,17 @@ def _assigned(cost: np.ndarray) -> np.ndarray:
 
 
 def confirmed(found: Mixing | None) -> bool:
-    """Whether the outputs are seen to follow the frame's mixer, in most windows that show anything."""
+    """Return whether the outputs follow the frame's mixer, in most informative windows."""
     own = np.zeros(0) if found is None else np.diagonal(found.costs(), axis1=1, axis2=2).max(axis=1)
     own = own[np.isfinite(own)]
     return len(own) >= LEAST_WINDOWS and bool((own < FOLLOWS).mean() > 0.5)
 
 
 def outputs_in_another_order(found: Mixing | None) -> str | None:
-    """Outputs that move as the mixer asks of other rotors: they have other places in the log, or in its parameters, than in the air."""
+    """Outputs that follow the mixer's demand on other rotors: their places in the log or its parameters differ from those in the air."""
     if found is None:
         return None
-    # Trim may be the same for rotors that motion tells apart, and a logger's time may blur the motion but not the trim.
+    # Trim may be equal for rotors that motion distinguishes, and a logger's timing may blur the motion but not the trim.
     rows = next((rows for trim in (True, False) if (rows := order(found.costs(trim=trim))) is not None), None)
     if rows is None:
         return None
@@ -213,17 +214,18 @@ def outputs_of_another_mixer(found: Mixing | None) -> str | None:
 
 
 class Lag(NamedTuple):
-    """By how many seconds outputs come later than what asks for them, from a moment on [s]."""
+    """Delay of outputs behind the demand, from a time on [s]."""
 
     start: float
     seconds: float
 
 
 def lags(found: Mixing) -> tuple[Lag, ...] | None:
-    """How late the outputs are: () where they are of the rate controller's clock, one lag, or two with a step between them; None where the
-    windows tell of many lags.
+    """Delays of the outputs: () where they have the rate controller's clock, one lag, or two with a step between them; None where the
+    windows show many lags.
 
-    Each window has the lag at which its differences fit best; one that fits at none tells nothing."""
+    Each window has the lag at which its differences fit best; one that fits at none is ignored.
+    """
     now = _own(found, 0.0)
     if not (now > STRAYS * FOLLOWS).sum() > 0.5 * LEAST_WINDOWS:
         return ()
@@ -281,11 +283,11 @@ def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:
 
 
 def outputs_of_another_range(found: Mixing | None) -> str | None:
-    """Outputs whose thrust, by the curve of the parameters, is not what the rate controller asks of that mixer."""
+    """Outputs whose thrust, by the curve of the parameters, is not that mixer's demand from the rate controller."""
     scales = np.zeros(0) if found is None else found.scales()
     scales = scales[np.isfinite(scales)]
     if len(scales) < LEAST_FRAME or quantile(scales, 0.9) > ALIKE * quantile(scales, 0.1):
-        return None  # a wrong curve makes every window alike
+        return None  # a wrong curve affects every window alike
     if SCALES[0] < (typical := float(median(scales))) < SCALES[1]:
         return None
     return (
@@ -295,7 +297,7 @@ def outputs_of_another_range(found: Mixing | None) -> str | None:
 
 
 def outputs_that_never_move(flight: Flight, air: Spans) -> str | None:
-    """Outputs that stand still through a flight in which the others move: no autopilot commands that of a rotor it flies with."""
+    """Outputs that stand still through a flight in which the others move: no autopilot commands that of a rotor in use."""
     if not flight.has("motors"):
         return None
     motors = flight["motors"]

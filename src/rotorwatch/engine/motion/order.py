@@ -1,11 +1,11 @@
-"""The order of the outputs, by the motion that follows them: for logs that do not hold what the rate controller asked for.
+"""The order of the outputs, by the motion that follows them: for logs without the rate controller's output.
 
 If output k drives rotor p_k, the torque about axis a is sum_k b_a[p_k] T_k, with b_a the row of the effectiveness and T_k the thrust of
-output k without what all share and without trim. For every order p it explains a share of the angular acceleration w_a,
+output k less the common part and the trim. Every order p explains a share of the angular acceleration w_a,
 
     R_a^2(p) = max over lags of (b_a[p]^T S_a)^2 / (b_a[p]^T C b_a[p] |w_a|^2),     S_a = sum T w_a,   C = sum T T^T,
 
-of which only gains above 0 count. A rotor that is weak, stuck or gone lowers the share of the true order, but that of the others as well.
+of which only gains above 0 count. A weak, stuck or missing rotor lowers the share of the true order, but that of the others as well.
 """
 
 from __future__ import annotations
@@ -17,19 +17,20 @@ import numpy as np
 from rotorwatch.base.arrays import quantile
 from rotorwatch.engine.motion.tick_table import Ticks
 
-ALL_ORDERS = 6  # rotors, up to which every order is tried; of more, exchanges of two and turns about the frame
-LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind commands; over which trim is taken out
-ALIKE_FOR, NOISE_S = (3, 0.2)  # neighbouring ticks with the same error; over which the noise of a rate's change is averaged
-LARGE = 3.0  # times the usual size, to which knocks are bounded
-NATS, PART = (20.0, 4.0)  # by which the log-likelihood of another order must be higher; and that share of it in each half of the flight
-FAILS, SHOWS = 0.35, 0.1  # own share of an axis, of that which the other order explains of it; and that share
-LOSES = 0.35  # of the gain in log-likelihood, that an axis may lose
+ALL_ORDERS = 6  # rotors up to which every order is tried; beyond, exchanges of two and rotations of the frame
+LEAST_S, LATEST_S, TRIM_S = 15.0, 0.25, 1.0  # of flight; lags of motion behind commands; over which trim is removed
+ALIKE_FOR, NOISE_S = (3, 0.2)  # neighbouring ticks with the same error; averaging time for the noise of a rate's change
+LARGE = 3.0  # multiple of the usual size at which knocks are clipped
+NATS, PART = (20.0, 4.0)  # required gain in log-likelihood of another order; and share of it in each half of the flight
+FAILS, SHOWS = 0.35, 0.1  # share of an axis explained by the frame's order, relative to the other order; and the share explained by that
+LOSES = 0.35  # share of the gain in log-likelihood that an axis may lose
 
 
 def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
-    """The rotor (0-based) whose torque follows each output, where that is another order than the frame's; None where it is not.
+    """The rotor (0-based) whose torque follows each output, where that is another order than the frame's; None otherwise.
 
-    B (4, n): effectiveness. The other order must explain an axis on which the frame's fails, and lose hardly anything on the others."""
+    B (4, n): effectiveness. The other order must explain an axis on which the frame's fails, and lose hardly anything on the others.
+    """
     ok = (table.mode > 0) & table.valid[:, :3].all(axis=1) & ~table.upset
     if table.seen is not None:
         ok &= table.seen
@@ -41,7 +42,7 @@ def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
     alike = max(ALIKE_FOR, NOISE_S / table.dt)
 
     def explained(rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """(p, 3) shares of the motion that the orders explain, and their log-likelihoods."""
+        """(p, 3) shares of the motion explained by the orders, and their log-likelihoods."""
         R2 = _shares(thrust[rows], motion[rows], B, orders, lags)
         return R2, -0.5 * ok[rows].sum() / alike * np.log1p(-R2)
 
@@ -51,7 +52,7 @@ def followed(table: Ticks, B: np.ndarray) -> tuple[int, ...] | None:
     if more.sum() < NATS or more.min() < -LOSES * more.sum() or not fails.any():
         return None
     middle = int(np.searchsorted(ok.cumsum(), ok.sum() // 2))
-    for rows in (slice(middle), slice(middle, None)):  # outputs do not change their places in flight; what pushes a vehicle comes and goes
+    for rows in (slice(middle), slice(middle, None)):  # outputs do not change places in flight; external forces come and go
         part = explained(rows)[1].sum(axis=1)
         if part[best] < part[0] + NATS / PART:
             return None
@@ -72,7 +73,7 @@ def _shares(thrust: np.ndarray, motion: np.ndarray, B: np.ndarray, orders: np.nd
 
 
 def _orders(n: int) -> np.ndarray:
-    """(p, n) orders of n rotors that are tried, the frame's own first."""
+    """(p, n) candidate orders of n rotors, the frame's own first."""
     own = tuple(range(n))
     if n <= ALL_ORDERS:
         return np.array(list(permutations(own)))
@@ -82,7 +83,7 @@ def _orders(n: int) -> np.ndarray:
 
 
 def _shaken(x: np.ndarray, ok: np.ndarray, dt: float) -> np.ndarray:
-    """Columns of (T, k) without trim and without noise, 0 where not `ok`, bounded to what is usual."""
+    """Columns of (T, k) less trim and averaged over noise, 0 where not `ok`, clipped to the usual size."""
     long, short = (np.ones(width) / width for width in (max(3, round(TRIM_S / dt)), max(1, round(NOISE_S / dt))))
     columns = []
     for column in x.T:

@@ -1,6 +1,6 @@
-"""Outputs that part from the mixer, of a whole flight: the definition of engine/intake/deviations.py, in words.
+"""Outputs that deviate from the mixer, over a whole flight: the definition of engine/intake/deviations.py, in words.
 
-Loss of effectiveness never shows here: the commands are what is compared.
+Loss of effectiveness never shows here: only commands are compared.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ KINDS = {deviations.STUCK: "stuck", deviations.OFF: "off", deviations.OVERRIDDEN
 class Override(NamedTuple):
     """An output that no longer follows the mixer.
 
-    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while it lasts. reason: one sentence. demanded: share of
-    full thrust that the mixer demanded when it was noticed; None where the log does not show that. shared: another output left the mixer
-    and came back at the same samples, so that the log is wrong, and no rotor.
+    rotor: 1-based. kind: stuck, off or overridden. Times in s, end None while in progress. reason: one sentence. demanded: share of full
+    thrust that the mixer demanded when it was noticed; None if not logged. shared: another output left the mixer and returned at the same
+    samples, so that the log is wrong, not a rotor.
     """
 
     rotor: int
@@ -47,11 +47,11 @@ class Override(NamedTuple):
 def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
     """Outputs that stopped following the mixer in flight: stuck at a value, off, or driven by something else.
 
-    airborne: ((start, end), ...) in s. With a ``control`` signal that the mixer is seen to follow, an output counts
-    when it differs by more than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is
-    near its limits; limits explain neither an output below its minimum nor one that rests though it is commanded to
-    move against the others. Without it, only outputs that are off, or constant for 0.5 s while all others move, are found. Loss of
-    effectiveness never shows here: the commands are what is compared. Causal: `detected` is when a live observer would have known.
+    airborne: ((start, end), ...) in s. With a ``control`` signal that agrees with the mixer, an output counts when it differs by more
+    than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is near its limits; limits explain neither an
+    output below its minimum nor one that rests though it is commanded to move against the others. Without it, only outputs that are off,
+    or constant for 0.5 s while all others move, are found. Loss of effectiveness never shows here: only commands are compared. Causal:
+    `detected` is when a live observer would have known.
     """
     if not flight.has("motors"):
         return ()
@@ -71,7 +71,7 @@ def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Overri
 
 
 def in_flight(found: Iterable[Override], spans: Spans) -> list[Override]:
-    """Overrides that were noticed in flight, each ended with its flight at the latest."""
+    """Overrides noticed in flight, each ended with its flight at the latest."""
     inside = []
     for one in found:
         for start, end in spans:
@@ -81,13 +81,13 @@ def in_flight(found: Iterable[Override], spans: Spans) -> list[Override]:
 
 
 def found(state: Rows, craft: Rows) -> tuple[Override, ...]:
-    """All overrides so far; the end of one that lasts is None."""
+    """All overrides so far; the end of one in progress is None."""
     rows = ENGINE.array(deviations.Override, OVERRIDES)
     return in_words(rows.cut(ENGINE.call(calls.overrides, state, craft, rows)))
 
 
 def in_words(rows: Rows) -> tuple[Override, ...]:
-    """Overrides as people read them."""
+    """Overrides in readable form."""
     names = ("rotor", "kind", "onset", "detected", "end", "output", "demanded", "got", "shared")
     return tuple(_in_words(*values) for values in zip(*(rows[name].tolist() for name in names)))
 

@@ -1,4 +1,4 @@
-"""Signals as the definitions take them: one row of samples of all kinds, in the order of time."""
+"""Signals in the definitions' form: one sequence of samples of all kinds, in time order."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ SIGNALS = ("motors", "control", "gyro", "rates", "accel", "velocity", "attitude"
 
 
 def samples(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool) -> Samples:
-    """`parts` in one row."""
+    """`parts` in one sequence."""
     return merged(parts(signals, messages, vehicle, gyro, battery))
 
 
 def parts(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool) -> list[Part]:
-    """What the diagnoser takes of signals, and of the words of the autopilot. gyro: the signal that tells angular rates; battery: its
-    voltage is known, now or later, which counts where motors are driven straight from it."""
+    """The diagnoser's inputs from signals and messages of the autopilot. gyro: the signal with angular rates; battery: its voltage is
+    known, now or later; it matters where motors are driven straight from it."""
     full = vehicle.extra.get("full_voltage") if battery else None
     found = [part for name, signal in signals.items() if (part := _numbers(name, signal, full, gyro)) is not None]
     words = list(messages)
@@ -26,7 +26,7 @@ def parts(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: V
 
 
 def _numbers(name: str, signal: Signal, full: float | None, gyro: str | None) -> Part | None:
-    """Samples of a signal; None where the diagnoser does not take it. full: voltage of a full battery."""
+    """Samples of a signal; None where the diagnoser does not use it. full: voltage of a full battery."""
     time, values, valid = signal.time, signal.values, signal.valid
     if name == "battery" and full:
         ok = valid[:, 0] & (values[:, 0] > 0.5 * full)

@@ -1,4 +1,4 @@
-"""From a log's uneven samples to the diagnoser's ticks: the definitions of front/ over a whole flight, as one table.
+"""From a log's uneven samples to the diagnoser's ticks: the definitions of the front end over a whole flight, as one table.
 
 A tick at time t uses nothing measured after t. Units: thrusts in hover thrusts of one rotor (the mean command that carries the weight is
 1), found from the first second in the air and then kept for that flight. All frames body FRD.
@@ -30,9 +30,9 @@ __all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "SIDE
 
 LAG_S = 0.02
 
-# s in the air before anything is judged; the same where healthy flights have shown the noise.
+# s in the air before evaluation; the same where the noise is known from healthy flights.
 READY_S, READY_KNOWN_S = 8.0, 3.0
-LATE_PERIODS = 1.5  # of slow motion, for which a tick waits at least
+LATE_PERIODS = 1.5  # of slow motion: shortest wait of a tick
 ROOM = 512  # rows in one call
 
 
@@ -40,14 +40,13 @@ ROOM = 512  # rows in one call
 class Ticks:
     """T ticks of an n-rotor flight.
 
-    time (T,) s, when everything in the tick was known. command_time (T,) s, mean time of the commands in it.
-    thrust (T, n); wrench (T, 4) = B thrust; rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0;
-    valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust
-    per rotor that one unit of thrust stands for; side (T, 2): specific force forward and right [m/s^2], mean of the last SIDE_S, or None
-    where nothing measures it. contact (T,) bool: something outside pushed the vehicle, and for `ready_s` after it its trim is learned
-    afresh (None: no contact); contacts: what and when. seen (T,) bool: a tick with commands in it, else thrust is 0. curve: expo of the
-    thrust curve that they were made with, and the standard deviation of what it is. axial (T,): speed along the thrust axis [m/s], above
-    0 where the vehicle climbs along it, NaN where velocity or attitude are not known (None: nowhere).
+    time (T,) s, when the whole tick was known. command_time (T,) s, mean time of its commands. thrust (T, n); wrench (T, 4) = B thrust;
+    rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0; valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart
+    (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust per rotor per unit of thrust; side (T, 2): specific force
+    forward and right [m/s^2], mean of the last SIDE_S, or None where not measured. contact (T,) bool: an external force or torque acted
+    on the vehicle, and for `ready_s` after it its trim is learned again (None: no contact); contacts: their description. seen (T,) bool:
+    a tick with commands, else thrust is 0. curve: expo of the thrust curve used, and its standard deviation. axial (T,): speed along the
+    thrust axis [m/s], positive when climbing along it, NaN where velocity or attitude are unknown (None: nowhere known).
     """
 
     time: np.ndarray
@@ -77,7 +76,7 @@ class Ticks:
 
 
 def joined(parts: Sequence[Ticks]) -> Ticks:
-    """Ticks that follow each other, in one table. What one of the parts does not have, the whole has not, but for contacts."""
+    """Consecutive ticks in one table. A column missing from one part is missing from the whole, except contacts."""
     columns = {}
     for name, last in vars(parts[-1]).items():
         values = [getattr(p, name) for p in parts]
@@ -88,13 +87,13 @@ def joined(parts: Sequence[Ticks]) -> Ticks:
     return Ticks(**columns)
 
 
-# Ticks in s, and the rate of commands in Hz from which on nearly all of them hold one.
+# Ticks in s, and the rate of commands in Hz above which nearly all of them hold one.
 LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
 TICKS_S = tuple(length for length, _ in LENGTHS)
-# A snapshot of the commands is compared with motion over so long, or over a sample and a half of the gyro.
+# A single sample of the commands is compared with motion over this long, or over a sample and a half of the gyro.
 SHORTEST_S = 0.2
-EARLIEST_TICKS = 2  # that an announcement takes: engine/estimator/announcement.py
-READY_TICKS = 30  # from which the noise is learned
+EARLIEST_TICKS = 2  # duration of an announcement: engine/estimator/announcement.py
+READY_TICKS = 30  # ticks needed to learn the noise
 
 
 def tick_length(rate_hz: float) -> float:
@@ -108,7 +107,7 @@ def length_of(flight: Flight) -> float:
 
 
 def slow(rate_hz: float, dt: float, ready_s: float) -> str:
-    """What cannot be seen at slow ticks, a sentence; empty where they are not slow."""
+    """A sentence on the limits of slow ticks; empty where they are not slow."""
     if dt <= SHORTEST_S / 2.0:
         return ""
     return (
@@ -118,42 +117,42 @@ def slow(rate_hz: float, dt: float, ready_s: float) -> str:
 
 
 def ready_after(ready_s: float, dt: float) -> float:
-    """Blind time in s after lift-off: as asked for, but long enough to learn the noise at slow ticks."""
+    """Blind time in s after lift-off: as requested, but long enough to learn the noise at slow ticks."""
     return max(ready_s, READY_TICKS * dt)
 
 
 def ready_of(ready_s: float, air: Sequence[tuple[float, float]]) -> float:
-    """Blind time in s after lift-off of a whole log that was in the air at these times ((start, end), ...) s: half of its longest flight
-    at most, so that a short one is judged as well, but time enough to learn the noise."""
+    """Blind time in s after lift-off of a whole log that was in the air at these times ((start, end), ...) s: at most half of its longest
+    flight, so that a short one is evaluated too, but long enough to learn the noise."""
     longest = max((end - start for start, end in air), default=np.inf)
     return min(ready_s, max(0.5 * longest, READY_KNOWN_S))
 
 
 def _period(signal: Signal) -> float:
-    """Usual time between two samples that are known, s; NaN with fewer than two."""
+    """Usual time between two known samples, s; NaN with fewer than two."""
     time = signal.time[signal.whole]
     steps = np.diff(time)
     return float(median(steps[steps > 0])) if (steps > 0).any() else np.nan
 
 
 def samples_in(half: float, period: float) -> int:
-    """How many samples a window of twice `half` s needs at least, of a signal with so many s between two; NaN: not known."""
+    """Samples that a window of twice `half` s needs at least, of a signal with so many s between two; NaN: unknown."""
     return max(1, int(half / period * 0.8)) if period > 0.0 else 1
 
 
 def _span(motion: Signal, commands: Signal, dt: float) -> float:
-    """Half of the time over which a signal is averaged for a tick: the tick, but less where its commands are one snapshot."""
+    """Half of the averaging time of a signal for a tick: the tick, but less where its commands are one sample."""
     if dt <= SHORTEST_S or commands.rate_hz > 1.5 / dt:
         return 0.5 * dt
     return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
 
 
 class Plan(NamedTuple):
-    """How a flight is cut into ticks: what its sampling rates decide, once for all of it.
+    """Division of a flight into ticks, fixed by its sampling rates.
 
-    dt: length of a tick; ready_s: blind time after lift-off; lag_s; first: end of the first tick [all s]. gyro: signal that tells angular
-    rates, or None. accel: the log has one. half: signal -> half of the time it is averaged over; period: signal -> usual time between
-    samples [s]. notes: sentences on what the log lacks.
+    dt: length of a tick; ready_s: blind time after lift-off; lag_s; first: end of the first tick [all s]. gyro: signal with angular
+    rates, or None. accel: the log has one. half: signal -> half of its averaging time; period: signal -> usual time between samples [s].
+    notes: sentences on missing data.
     """
 
     dt: float
@@ -174,7 +173,7 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
     notes = []
     if limit := slow(thrust.rate_hz, dt, ready_s):
         notes.append(limit)
-    # Slow commands are snapshots: put them in the middle of their ticks so that jitter never empties one.
+    # Slow commands are single samples: put them in the middle of their ticks so that jitter never empties one.
     turns = np.exp(2j * np.pi * thrust.time[:64] / dt)  # the first seconds decide, so that a longer log changes nothing
     phase = float(np.angle(turns.mean()) / (2.0 * np.pi) % 1.0 * dt) if thrust.rate_hz < 1.5 / dt else 0.0
     gyro = "gyro" if flight.has("gyro") else "rates" if flight.has("rates") else None
@@ -191,10 +190,10 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sensed:
-    """What was commanded and measured in T ticks, whether in the air or not: a tick needs no other, and nothing logged after it.
+    """Commands and measurements of T ticks, in the air or not: a tick needs no other, and nothing logged after it.
 
-    time, when (T,) s as in `Ticks`; share (T, n): mean share of full thrust; some (T,) bool: commands in it; rate, rate_dot, load, side as
-    in `Ticks`; rate_ok, load_ok (T,) bool; level (T,): cosine of the tilt. rows: the same as the definitions take them.
+    time, when (T,) s as in `Ticks`; share (T, n): mean share of full thrust; some (T,) bool: commands in it; rate, rate_dot, load, side
+    as in `Ticks`; rate_ok, load_ok (T,) bool; level (T,): cosine of the tilt. rows: the same in the definitions' form.
     """
 
     time: np.ndarray
@@ -214,15 +213,15 @@ class Sensed:
 
 
 def laid_out(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> Rows:
-    """The plan as the definitions take it; see `table`."""
+    """The plan in the definitions' form; see `table`."""
     made = ENGINE.new(cutting.Plan)
     made.set(**table(plan, hover, rebuilt))
     return made
 
 
 def table(plan: Plan, hover: float | None = None, rebuilt: bool = False) -> dict[str, float | int | bool]:
-    """The fields of front.sense.Plan. hover: share of full thrust that carries the vehicle, where healthy flights have shown it; rebuilt:
-    thrusts come from the rate controller's output, which is sampled faster than the outputs."""
+    """The fields of front.sense.Plan. hover: share of full thrust at hover, where known from healthy flights; rebuilt: thrusts come from
+    the rate controller's output, which is sampled faster than the outputs."""
     gyro, accel = plan.gyro or "", "accel"
     of = {name: (plan.half.get(name, plan.dt / 2.0), plan.period.get(name, np.nan)) for name in (gyro, accel)}
     slowest = np.nan_to_num([0.0, *plan.period.values()]).max()
@@ -257,7 +256,7 @@ def sense(flight: Flight, thrust: Signal, plan: Plan, progress: Callable[[float]
     while count := ENGINE.call(calls.rest, state, vehicle, how, rows, ROOM):
         made.append(rows.cut(count))
     last = max((k for k, rows in enumerate(made) if rows["some"].any()), default=0)
-    commanded = np.flatnonzero(made[last]["some"])  # the rows after the last command are no flight
+    commanded = np.flatnonzero(made[last]["some"])  # the rows after the last command are not flight
     made[last:] = [made[last].cut(int(commanded[-1]) + 1 if commanded.size else 0)]
     whole_rows = Rows.joined(made)
     made.clear()
@@ -266,7 +265,7 @@ def sense(flight: Flight, thrust: Signal, plan: Plan, progress: Callable[[float]
 
 
 def known_hover(vehicle: Vehicle) -> float | None:
-    """Share of full thrust that carries the vehicle, where healthy flights have shown it."""
+    """Share of full thrust at hover, where known from healthy flights."""
     return (vehicle.identified or {}).get("hover")
 
 
@@ -283,14 +282,14 @@ def cut_ticks(
 ) -> Ticks:
     """Ticks of one flight. thrust: share of full thrust per rotor over time; B (4, n); ready_s: blind time after lift-off.
 
-    hover: share of full thrust that carries the vehicle, when a vehicle file or baseline knows it. progress: as of `sense`.
+    hover: share of full thrust at hover, when known from a vehicle file or baseline. progress: as in `sense`.
     """
     how = plan(flight, thrust, ready_s, lag_s, dt)
     return assemble(sense(flight, thrust, how, progress), how, B, airborne, hover)
 
 
 def assemble(seen: Sensed, plan: Plan, B: np.ndarray, airborne: tuple[tuple[float, float], ...], hover: float | None = None) -> Ticks:
-    """Ticks from what was measured in them and when the vehicle was in the air."""
+    """Ticks from their measurements and the intervals in the air."""
     n, count, time = B.shape[1], len(seen), seen.time
     lifted, start = np.full(count, LASTS), np.full(count, LASTS)
     for begin, end in airborne:
@@ -301,11 +300,11 @@ def assemble(seen: Sensed, plan: Plan, B: np.ndarray, airborne: tuple[tuple[floa
     made = ENGINE.array(definition.Made, count)
     state, vehicle = ENGINE.new(definition.Ticks), craft(n, effectiveness=B)
     ENGINE.call(calls.assemble, state, vehicle, laid_out(plan, hover), count, seen.rows, lifted, start, made)
-    return columns(made, plan, n).part(np.arange(count))  # without what only the definitions need
+    return columns(made, plan, n).part(np.arange(count))  # without the fields that only the definitions need
 
 
 def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) -> Ticks:
-    """Ticks that were made, as a table of n rotors; before: contacts of those before."""
+    """Completed ticks as a table of n rotors; before: contacts of the ticks before."""
     touch = made.part("touch")
     return Ticks(
         made["time"], made["when"], made["thrust"][:, :n], made["wrench"], made["rate"], made["rate_dot"], made["load"], made["valid"],
@@ -315,7 +314,7 @@ def columns(made: Rows, plan: Plan, n: int, before: tuple[Contact, ...] = ()) ->
 
 
 def landed(table: Ticks, spans: allocation.Spans) -> np.ndarray:
-    """(T,) bool: ticks after the end of the flight that they come after the start of."""
+    """(T,) bool: ticks between the end of a flight and the start of the next one."""
     after = np.zeros(len(table.time), bool)
     for k, (start, end) in enumerate(spans):
         following = spans[k + 1][0] if k + 1 < len(spans) else np.inf
@@ -324,7 +323,7 @@ def landed(table: Ticks, spans: allocation.Spans) -> np.ndarray:
 
 
 def grounded(table: Ticks, spans: allocation.Spans) -> Ticks:
-    """The ticks, with those after the end of their flight on the ground: where it was cut by an impact."""
+    """The ticks, with those after the end of their flight set to on the ground: after an impact."""
     after = landed(table, spans)
     if not (after & (table.mode != GROUND)).any():
         return table

@@ -1,8 +1,8 @@
-"""Is this what flew? The log is held against itself before anything is judged.
+"""Consistency tests of a log, before any evaluation: does the log show what flew?
 
 Each test takes a `Case` and gives one sentence when the log cannot be what flew, else None. Any such sentence makes the answer
-`inconclusive`: what is concluded from outputs that did not reach the motors rests on nothing. The tests ask for contradictions that
-no healthy or faulty flight shows; docs/limits.md has how often each was wrong.
+`inconclusive`: conclusions from outputs that did not reach the motors are unfounded. The tests look for contradictions that no healthy or
+faulty flight shows; docs/limits.md has the rate of false alarms of each.
 """
 
 from __future__ import annotations
@@ -24,47 +24,42 @@ from rotorwatch.flight.vehicle import Vehicle
 
 Spans = tuple[tuple[float, float], ...]
 
-# A controller answers before its vehicle has turned by so much: outputs that rest longer did not fly it.
+# A controller responds before its vehicle has turned by this much: outputs that rest longer did not fly it.
 STILL_S, STILL_RAD = 1.0, 1.0
-# ... nor does it rest for so long, in so many samples, at the resolution of an output, unless the air is dead calm.
+# ... nor do outputs rest for this long, over so many samples, within an output's resolution, unless the air is dead calm.
 STILL_LONG_S, STILL_LONG_RAD, STILL_SAMPLES = 5.0, 0.2, 25
-# rad/s and m/s^2, means of half a second: beyond what gyros of autopilots measure (2000 deg/s) and airframes bear
+# rad/s and m/s^2, means of half a second: beyond the range of autopilots' gyros (2000 deg/s) and the strength of airframes
 WILD_RATE, WILD_FORCE, WILD_S = 60.0, 20.0 * G0, 0.5
-SCALE = 2.5  # factor by which the size of the specific force may differ from one g where nothing says how the vehicle was turned
-NEARER = 2.0**0.5  # beyond this factor a scale is nearer to a half or a double than to what it should be
-FASTEST_FALL = 15.0  # m/s by which a multirotor's vertical speed differs at most between two moments
-# Share of the outputs' range, and of a flight, that outputs may lie above that range; share of a flight that they are below all of it
+SCALE = 2.5  # factor by which the magnitude of the specific force may differ from one g where the attitude is unknown
+NEARER = 2.0**0.5  # beyond this factor a scale is closer to a half or a double than to the right one
+FASTEST_FALL = 15.0  # m/s: largest difference of a multirotor's vertical speed between two times
+# Outputs may exceed their range by this share of it, in this share of a flight; share of a flight in which they are below all of it
 BEYOND, SELDOM, MOSTLY = 0.1, 0.01, 0.95
 ALIKE = 0.5  # correlation of two measurements of one motion
-# Hover thrusts of one rotor and rotor for each rad/s^2: the smallest vehicles turn for no less (radius of gyration 2 cm, arms of 3 cm),
-# large ones for no more.
+# Hover thrusts of one rotor, per rotor and rad/s^2: the smallest vehicles need no less (radius of gyration 2 cm, arms of 3 cm), large
+# ones no more.
 LEAST_GAIN, MOST_GAIN = 0.001, 0.02
-# Torque that the motion must take at least: so many times the one commanded, and so many hover thrusts. Vibration looks like less.
+# Torque required by the motion: so many times the one commanded, and so many hover thrusts. Vibration looks like less.
 HARDER, HARD = 3.0, 0.05
-# rad/s^2 and rad/s of roll or pitch: motion that is no longer the gyro's noise or a dead calm
+# rad/s^2 and rad/s of roll or pitch: motion beyond the gyro's noise or dead calm
 PLAIN, PLAIN_RATE = 0.3, 0.03
 HELD = 0.05  # share of the motion that commands would give a large vehicle, below which it does not follow them: it stands, or is held
-LONG_S = 30.0  # of flight, before commands are held against motion
-SLOWEST_S = 0.1  # ticks in which commands and the motion they cause can be seen together
-SHIFTS = 40  # how often commands are compared with motion at times that are not theirs
+LONG_S = 30.0  # of flight, before commands are compared with motion
+SLOWEST_S = 0.1  # longest ticks in which commands and the motion they cause can be compared
+SHIFTS = 40  # number of comparisons of commands with motion at wrong times
 SIGNIFICANT = 2.5  # standard deviations of those comparisons
 # Change from one attitude or position to the next, how many times that over two samples, and in which share of the samples
 APART_RAD, APART_M, AWAY, ALTERNATES = 0.1, 1.0, 4.0, 0.05
-BLOCK = 1 << 14  # samples that are looked at at a time
-APART_S, LAG_S, LEAST_PARTS = (
-    5.0,
-    0.1,
-    3,
-)  # gyro and attitude up to so far apart, in such steps; parts of a flight that there are at least
-THE_SAME = 0.8  # correlation of two measurements at a lag, beyond which it is the one they have
+BLOCK = 1 << 14  # samples processed at a time
+APART_S, LAG_S, LEAST_PARTS = (5.0, 0.1, 3)  # range and step of the lags between gyro and attitude; smallest number of parts of a flight
+THE_SAME = 0.8  # correlation of two measurements at a lag above which the lag is real
 GYRO_UNITS = {"degrees/s": np.degrees(1.0), "mrad/s": 1e3, "turns/s": 0.5 / np.pi}
 GEOMETRY = ("FRAME_CLASS", "FRAME_TYPE", "CA_ROTOR_COUNT", "CA_AIRFRAME", "SYS_AUTOSTART", "MAV_TYPE")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Case:
-    """One log to be trusted or not: the flight, what it is said to be, when it was airborne, and its ticks. alike: of `_alike`, for each
-    pair of axes that was asked for."""
+    """A log under test: the flight, its vehicle, when it was airborne, and its ticks. alike: of `_alike`, by pair of axes."""
 
     flight: Flight
     vehicle: Vehicle
@@ -74,7 +69,7 @@ class Case:
 
     @cached_property
     def mixing(self) -> mixing.Mixing | None:
-        """Outputs and what the rate controller asks for."""
+        """Outputs and the rate controller's demand."""
         return mixing.mixing(self.flight, self.vehicle, self.air)
 
     @cached_property
@@ -96,7 +91,7 @@ class Case:
 def contradictions(
     flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks, progress: Callable[[float], object] | None = None
 ) -> tuple[str, ...]:
-    """Why the log cannot be what flew, a sentence for each test that fails; empty when nothing contradicts it. progress: called with the
+    """Sentences of all tests that fail, on why the log cannot be what flew; empty when nothing contradicts it. progress: called with the
     finished share, 0..1."""
     case, found = Case(flight, vehicle, air, table), []
     for done, test in enumerate(TESTS, 1):
@@ -107,21 +102,21 @@ def contradictions(
 
 
 def two_publishers(case: Case) -> str | None:
-    """Outputs of two publishers that both move: neither can be told to be the one that reached the motors."""
+    """Outputs of two publishers that both move: which of them reached the motors is unknown."""
     if case.flight.facts.get("publishers", 1) > 1:
         return "the motor outputs in this log come from two publishers at once, and the log does not show which of them drove the motors."
     return None
 
 
 def two_flights(case: Case) -> str | None:
-    """Attitudes or positions that go away and come back from one sample to the next, often: records of two flights in one log."""
+    """Attitudes or positions that often jump away and back from one sample to the next: records of two flights in one log."""
     for name, least in (("attitude", APART_RAD), ("position", APART_M)):
         if not case.flight.has(name):
             continue
         values, often = case.flight[name].wholes().values, 0
         for start in range(0, len(values) - 2, BLOCK):
             part = values[start : start + BLOCK + 2]
-            part = _axes(part) if name == "attitude" else part  # q and -q are one attitude: its axes are compared
+            part = _axes(part) if name == "attitude" else part  # q and -q are one attitude: compare its axes
             away, back = (np.linalg.norm(part[k:] - part[:-k], axis=1) for k in (1, 2))
             away = np.minimum(away[1:], away[:-1])
             often += int(np.count_nonzero((away > least) & (away > AWAY * back)))
@@ -139,7 +134,7 @@ def _axes(q: np.ndarray) -> np.ndarray:
 
 
 def clock_jumped(case: Case) -> str | None:
-    """A clock that was set in the air: commands and motion around the jump cannot be put in order."""
+    """A clock that was set in the air: commands and motion around the jump cannot be ordered."""
     when = [t for t in case.flight.facts.get("clock_jumps", ()) if within(np.array([t]), case.air).any()]
     if when:
         return f"the log's clock jumps at {when[0]:.1f} s, in the air: commands and motion cannot be put in order."
@@ -160,7 +155,7 @@ def another_airframe(case: Case) -> str | None:
 
 
 def frame_without_outputs(case: Case) -> str | None:
-    """A frame with fewer rotors than outputs that move as motors do: it is not the one that flew."""
+    """A frame with fewer rotors than outputs that move like motors: it is not the one that flew."""
     left = case.flight.facts.get("outputs_left_out")
     if not left:
         return None
@@ -172,7 +167,7 @@ def frame_without_outputs(case: Case) -> str | None:
 
 
 def outputs_in_another_order(case: Case) -> str | None:
-    """Outputs that move as the mixer asks of other rotors."""
+    """Outputs that follow the mixer's demand on other rotors."""
     return mixing.outputs_in_another_order(case.mixing)
 
 
@@ -182,7 +177,7 @@ def outputs_of_another_mixer(case: Case) -> str | None:
 
 
 def outputs_of_another_range(case: Case) -> str | None:
-    """Outputs whose thrust, by the curve of the parameters, is not what the rate controller asks for."""
+    """Outputs whose thrust, by the curve of the parameters, is not the rate controller's demand."""
     return mixing.outputs_of_another_range(case.mixing)
 
 
@@ -192,7 +187,7 @@ def outputs_that_never_move(case: Case) -> str | None:
 
 
 def wild_motion(case: Case) -> str | None:
-    """Rates or accelerations that no vehicle survives, for half a second: wrong units, or not a sensor's values."""
+    """Rates or accelerations that no vehicle survives, for half a second: wrong units, or invalid sensor values."""
     for name, limit, what, unit in (("gyro", WILD_RATE, "turns at", "rad/s"), ("accel", WILD_FORCE, "accelerates at", "m/s^2")):
         if not case.flight.has(name):
             continue
@@ -210,9 +205,10 @@ def wild_motion(case: Case) -> str | None:
 
 
 def weightless(case: Case) -> str | None:
-    """Over a flight the specific force is one g, and it points up: what does not is in another unit or of another sensor.
+    """Specific force that, over a flight, is not one g upwards: wrong unit, or another sensor.
 
-    Its vertical part is one g on average, but for what the vehicle's speed has changed; its size is more where the vehicle shakes or turns.
+    Its vertical component is one g on average, except for changes of the vehicle's speed; its magnitude is larger where the vehicle
+    shakes or turns.
     """
     if not case.flight.has("accel"):
         return None
@@ -233,13 +229,13 @@ def weightless(case: Case) -> str | None:
 
 
 def attitude_against_gyro(case: Case) -> str | None:
-    """Gyro and attitude tell of the same turns: same size, same sign, same time."""
+    """Gyro and attitude that do not show the same rotations: same magnitude, sign and time."""
     if not case.flight.has("gyro", "attitude"):
         return None
     _, turned, (rate,) = case.turns
     if len(rate) < 50:
         return None
-    # Of most of the flight: knocks and a crash show sensors' limits.
+    # Over most of the flight: knocks and a crash saturate sensors.
     bound = 5.0 * median(np.abs(rate)) + 1.0, 5.0 * median(np.abs(turned)) + 1.0
     calm = (np.abs(rate) < bound[0]).all(axis=1) & (np.abs(turned) < bound[1]).all(axis=1)
     rate, turned = rate[calm], turned[calm]
@@ -259,8 +255,8 @@ def attitude_against_gyro(case: Case) -> str | None:
 
 
 def gyro_axes(case: Case) -> str | None:
-    """A gyro whose axes are exchanged or reversed: one of the 48 ways to do so makes its turns those of the attitude, or of the rates that
-    the controller used, far better than leaving it as it is."""
+    """A gyro with exchanged or reversed axes: one of the 48 permutations makes its rotations those of the attitude, or of the rates used
+    by the controller, far better than the unchanged axes."""
     if not case.flight.has("gyro"):
         return None
     if case.flight.has("attitude"):
@@ -274,7 +270,7 @@ def gyro_axes(case: Case) -> str | None:
 
 
 def two_clocks(case: Case) -> str | None:
-    """Gyro and attitude tell of the same turns, but not at the same time: of most parts of the flight, in calm air as well."""
+    """Gyro and attitude that show the same rotations at different times: in most parts of the flight, in calm air as well."""
     if not case.flight.has("gyro", "attitude"):
         return None
     when, (alike,) = inertial.alike_at(case.turns)
@@ -295,8 +291,8 @@ def two_clocks(case: Case) -> str | None:
 
 
 def outputs_beyond_range(case: Case) -> str | None:
-    """Outputs far above what is said to be full thrust, or mostly below what is said to be none: that range is not the one that flew, so no
-    thrust is known."""
+    """Outputs far above the stated full thrust, or mostly below the stated zero: that range is not the one that flew, so no thrust is
+    known."""
     motors, curve = case.flight["motors"], case.vehicle.curve
     inside = within(motors.time, case.air) & motors.whole
     if inside.sum() < 50:
@@ -330,7 +326,7 @@ def outputs_at_rest(case: Case) -> str | None:
     long_enough = (ends - starts >= 4) & (time[ends] - time[starts] >= STILL_S)
     for a, b in zip(starts[long_enough], ends[long_enough]):
         seconds = float(time[b] - time[a])
-        # Motors that are off, or all at their limits, may well rest.
+        # Motors that are off, or all at their limits, may rest.
         if ((values[a] > curve.u_min + span) & (values[a] < curve.u_max - span)).mean() <= 0.5:
             continue
         angle = _angle(case.turning, float(time[a]), float(time[b]))
@@ -344,7 +340,7 @@ def outputs_at_rest(case: Case) -> str | None:
 
 
 def motion_without_command(case: Case) -> str | None:
-    """Angular acceleration that takes more torque than was commanded, through most of a flight and not in step with the commands."""
+    """Angular acceleration that requires more torque than was commanded, through most of a flight and uncorrelated with the commands."""
     sizes = [_coherence(case, axis) for axis in (0, 1)]
     if any(s is None for s in sizes):
         return None
@@ -354,8 +350,8 @@ def motion_without_command(case: Case) -> str | None:
 
 
 def command_without_effect(case: Case) -> str | None:
-    """Commands that explain no motion on any axis: they fit the motion no better than at times that are not theirs. Where there is hardly
-    any motion, nothing can be said, unless the commands ask for a lot of it."""
+    """Commands that explain no motion on any axis: they fit the motion no better than at wrong times. With hardly any motion the test is
+    void, unless the commands demand a lot of it."""
     if not case.flight.has("gyro"):
         return None
     found = [c for axis in range(3) if (c := _coherence(case, axis)) is not None]
@@ -379,8 +375,9 @@ def outputs_of_other_rotors(case: Case) -> str | None:
 
 
 class Coherence(NamedTuple):
-    """Commanded torque and angular acceleration of one axis. alike: correlation, -1..1, at the best lag; sigmas: how far above that at
-    wrong times; needed, commanded: usual size of the torque that the motion takes at least, and of the one commanded (hover thrusts)."""
+    """Commanded torque and angular acceleration of one axis. alike: correlation, -1..1, at the best lag; sigmas: excess over that at
+    wrong times, in standard deviations; needed, commanded: usual magnitude of the torque that the motion requires at least, and of the
+    commanded one (hover thrusts)."""
 
     alike: float
     sigmas: float
@@ -389,8 +386,8 @@ class Coherence(NamedTuple):
 
 
 def _coherence(case: Case, axis: int, commanded: int | None = None, sign: float = 1.0) -> Coherence | None:
-    """Of the motion of an axis with the torque commanded of it, or of the axis `commanded`, times a sign. None where the flight is too
-    short or too slowly logged. Trim, over a second, is left out."""
+    """Coherence of an axis' motion with the torque commanded on it, or on the axis `commanded`, times a sign. None where the flight is
+    too short or logged too slowly. Trim, over a second, is removed."""
     table = case.table
     if (case.flying & table.valid[:, axis]).sum() * table.dt < LONG_S or table.dt > SLOWEST_S:
         return None
@@ -412,13 +409,13 @@ def _coherence(case: Case, axis: int, commanded: int | None = None, sign: float 
 
 
 def _alike(case: Case, axis: int, commanded: int) -> tuple[np.ndarray | None, tuple[float, float]]:
-    """(correlation of an axis' motion with a commanded torque at every shift, going round (T,), usual sizes of command and motion); None
-    where one of these is nothing."""
+    """(correlation of an axis' motion with a commanded torque at every circular shift (T,), usual magnitudes of command and motion); None
+    where one of these is zero."""
     table, ok = case.table, case.flying & case.table.valid[:, axis]
     width = max(3, round(1.0 / table.dt))
     columns = table.wrench[:, commanded], table.rate_dot[:, axis]
     command, motion = (np.where(ok, _without_trim(np.where(ok, x, 0.0), width), 0.0) for x in columns)
-    # Bounded to what is usual: one knock must not speak for a flight.
+    # Clip to the usual size: one knock must not dominate a flight.
     usual = quantile(np.abs(command[ok]), 0.8), quantile(np.abs(motion[ok]), 0.8)
     if min(usual) <= 0.0:
         return None, usual
@@ -433,7 +430,7 @@ def _without_trim(x: np.ndarray, width: int) -> np.ndarray:
 
 
 def _lengths(signal: Signal, air: Spans) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(time, length of the vector) of a signal's valid samples in the air, some at a time."""
+    """(time, magnitude) of a vector signal's valid samples in the air, in blocks."""
     for start in range(0, len(signal), BLOCK):
         some = signal.part(slice(start, start + BLOCK))
         ok = within(some.time, air) & some.whole
@@ -442,7 +439,7 @@ def _lengths(signal: Signal, air: Spans) -> Iterator[tuple[np.ndarray, np.ndarra
 
 
 def _mean_of_next(x: np.ndarray, width: int) -> np.ndarray:
-    """Mean of each value and those after it, `width` in all; of those that are followed by so many."""
+    """Mean of each value and those after it, `width` in all; only for values followed by enough others."""
     total = np.cumsum(np.concatenate([[0.0], x]))
     return (total[width:] - total[:-width]) / width
 
