@@ -78,9 +78,7 @@ def main() -> int:
             done = subprocess.run(["sh", "-c", moved(rest, root)], cwd=folder, env=clean, check=False)
             if done.returncode:
                 return done.returncode
-    return subprocess.run(
-        [root / "opt/rotorwatch/bin/rotorwatch", "demo"], cwd=folder, env=clean, check=False
-    ).returncode
+    return subprocess.run([root / "opt/rotorwatch/bin/rotorwatch", "demo"], cwd=folder, env=clean, check=False).returncode
 
 
 if __name__ == "__main__":

@@ -32,9 +32,7 @@ def main(argv: list[str] | None = None) -> int:
     """Every step; the exit code is 1 as soon as one fails."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder of the results")
-    parser.add_argument(
-        "--no-isolation", action="store_true", help="build with the packages that are here, without a network"
-    )
+    parser.add_argument("--no-isolation", action="store_true", help="build with the packages that are here, without a network")
     parser.add_argument("--pure", action="store_true", help="no wheel with native code")
     parser.add_argument("--no-install", action="store_true", help="neither install the wheel nor list what it brings")
     options = parser.parse_args(argv)
@@ -97,9 +95,7 @@ def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
     _run(sys.executable, "-m", "cyclonedx_py", *words)
     found = json.loads(bom.read_text(encoding="utf-8"))
     for component in found["components"]:  # a path of this computer says nothing elsewhere
-        component["externalReferences"] = [
-            r for r in component.get("externalReferences", ()) if not r["url"].startswith("file:")
-        ]
+        component["externalReferences"] = [r for r in component.get("externalReferences", ()) if not r["url"].startswith("file:")]
     bom.write_text(json.dumps(found, indent=2, sort_keys=True) + "\n", encoding="utf-8")
     _report(f"SBOM: {bom.name}, {len(found['components'])} packages")
 

@@ -8,9 +8,7 @@ from plugin_template.observer import Observer
 
 import rotorwatch as rw
 
-LOG = (
-    acme_log.HEAD + b"M,1000000,50,50,50,50\nM,1100000,60,50,50,50\nI,1050000,180,0,0,0,0,-1\nI,1060000,0,0,90,0,0,-1\n"
-)
+LOG = acme_log.HEAD + b"M,1000000,50,50,50,50\nM,1100000,60,50,50,50\nI,1050000,180,0,0,0,0,-1\nI,1060000,0,0,90,0,0,-1\n"
 
 
 def test_a_log_is_read_in_si_units():

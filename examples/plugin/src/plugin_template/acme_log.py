@@ -21,10 +21,7 @@ HEAD = b"ACMELOG 1\n"
 G = 9.80665
 RECORDS = {
     "M": [("motors", slice(0, 4), ("r1", "r2", "r3", "r4"), 0.01, "1", "")],
-    "I": [
-        ("gyro", slice(0, 3), ("x", "y", "z"), np.pi / 180, "rad/s", "FRD"),
-        ("accel", slice(3, 6), ("x", "y", "z"), G, "m/s^2", "FRD"),
-    ],
+    "I": [("gyro", slice(0, 3), ("x", "y", "z"), np.pi / 180, "rad/s", "FRD"), ("accel", slice(3, 6), ("x", "y", "z"), G, "m/s^2", "FRD")],
     "A": [("attitude", slice(0, 4), ("w", "x", "y", "z"), 1.0, "1", "FRD->NED")],
     "V": [("velocity", slice(0, 3), ("n", "e", "d"), 1.0, "m/s", "NED")],
     "P": [("position", slice(0, 3), ("n", "e", "d"), 1.0, "m", "NED")],

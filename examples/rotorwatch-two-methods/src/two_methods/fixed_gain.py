@@ -72,13 +72,7 @@ class FixedGain:
         _, C, D = linearise.measurement(system, x0, jnp.asarray(u0), healthy)
         A = jnp.block([[F, Phi], [jnp.zeros((n, n_x)), jnp.eye(n)]])
         H, R = jnp.concatenate([C, D], axis=1), jnp.diag(system.R(jnp.asarray(u0)))
-        Q = (
-            jnp.zeros((n_x + n, n_x + n))
-            .at[:n_x, :n_x]
-            .set(system.Q(dt))
-            .at[n_x:, n_x:]
-            .set(theta_walk * dt * jnp.eye(n))
-        )
+        Q = jnp.zeros((n_x + n, n_x + n)).at[:n_x, :n_x].set(system.Q(dt)).at[n_x:, n_x:].set(theta_walk * dt * jnp.eye(n))
 
         start = jnp.zeros_like(Q).at[:n_x, :n_x].set(jnp.asarray(system.P0)).at[n_x:, n_x:].set(0.01 * jnp.eye(n))
         self.K, self.S, self.P = _stationary()(A, H, Q, R, start, rounds)

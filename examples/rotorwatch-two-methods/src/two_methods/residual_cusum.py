@@ -41,9 +41,7 @@ class ResidualCUSUM:
     def __init__(self, system, dt: float, *, smallest: float = 0.1, threshold: float = 8.0):
         """dt: s. smallest: the loss that is looked for, 0 to 1; threshold: evidence [nats] from which a loss is announced. Raises
         ConfigError."""
-        self.filter = EKF(
-            system, dt, theta_walk=0.0, theta_var=0.0
-        )  # never learns a loss: its residual keeps what a loss does
+        self.filter = EKF(system, dt, theta_walk=0.0, theta_var=0.0)  # never learns a loss: its residual keeps what a loss does
         self.system, self.dt = system, self.filter.dt
         self.smallest = checks.positive("smallest", checks.between("smallest", smallest, 0.0, 1.0))
         self.threshold = checks.positive("threshold", threshold)
@@ -70,9 +68,7 @@ class ResidualCUSUM:
         K = seen.x_cov @ C.T / system.R(u)
         Upsilon = F @ carry.Upsilon + Phi
         Omega = C @ Upsilon + D
-        weighed = cho_solve(
-            (jnp.linalg.cholesky(seen.innovation_cov), True), jnp.column_stack([Omega, seen.innovation])
-        )
+        weighed = cho_solve((jnp.linalg.cholesky(seen.innovation_cov), True), jnp.column_stack([Omega, seen.innovation]))
         a = carry.a + Omega.T @ weighed[:, -1]
         b = carry.b + (Omega * weighed[:, :n]).sum(axis=0)
         g = self.smallest * a - 0.5 * self.smallest**2 * b
