@@ -13,11 +13,13 @@ from rotorwatch import airframes, logs
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine import diagnoser as driver
 from rotorwatch.engine import driver as driving
+from rotorwatch.engine import window
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.driver import Driver, fly
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.samples import samples
+from rotorwatch.flight import Flight, Message
 
 SECONDS = 52.0
 
@@ -144,3 +146,13 @@ def test_what_comes_after_a_fall_lies_on_the_ground(flown, at_once):
     one.fell(event.onset_s - 6.0)
     after = Judged.joined([*one.feed(whole.part(until, len(whole))), *one.finish(flight.duration)])
     assert after is not None and not after.out.announced.any() and one.losses.events() == ()
+
+
+def test_of_too_many_texts_the_newest_are_kept_and_all_states(monkeypatch):
+    monkeypatch.setattr(window, "MOST_MESSAGES", 3)
+    kept = window.Window(Flight("test", "test", {}, 0.0))
+    kept.add({}, [Message(float(k), "text" if k % 3 else "landed", str(k), 1.0) for k in range(10)])
+    kept.forget(-1.0)
+    assert [m.text for m in kept.flight(-np.inf).messages] == ["0", "3", "5", "6", "7", "8", "9"]
+    kept.forget(20.0)
+    assert [m.text for m in kept.flight(-np.inf).messages] == ["9"], "the last state stays"

@@ -26,7 +26,7 @@ from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.samples import SIGNALS, parts
 from rotorwatch.engine.motion.tick_table import READY_KNOWN_S, READY_S, Plan, Ticks, grounded, plan
-from rotorwatch.engine.window import Window
+from rotorwatch.engine.window import STATES, Window
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
@@ -92,7 +92,7 @@ class Driver:
         """Append samples and messages, in the order of time."""
         messages = list(messages)
         self.window.add(signals, messages)
-        self._messages += messages
+        self._messages += (m for m in messages if m.kind in STATES)  # the engine takes no others; texts must not fill the memory
 
     def begin(self, flight: Flight, how: Plan, dynamics: dict | None, spans: Spans = ()) -> Diagnoser:
         """Start with a plan. flight: for its ranges and rates; dynamics: noise and gains of this vehicle from healthy flights; spans: of a

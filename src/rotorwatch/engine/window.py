@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -125,9 +126,8 @@ class Window:
             growing.forget(before)
         last = {m.kind: m for m in self._messages if m.time < before and m.kind in STATES}
         recent = [m for m in self._messages if m.time >= before]
-        excess = sum(m.kind not in STATES for m in recent) - MOST_MESSAGES
-        for m in recent[:] if excess > 0 else ():  # a sender must not fill the memory
-            if m.kind not in STATES and excess > 0:
-                recent.remove(m)
-                excess -= 1
+        texts = sum(m.kind not in STATES for m in recent)
+        if texts > MOST_MESSAGES:  # a sender must not fill the memory
+            left = itertools.count(texts, -1)
+            recent = [m for m in recent if m.kind in STATES or next(left) <= MOST_MESSAGES]
         self._messages = [*last.values(), *recent]
