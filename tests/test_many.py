@@ -6,9 +6,11 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import warnings
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,8 +22,10 @@ from hypothesis import strategies as st
 from rotorwatch.base import many
 from rotorwatch.base.many import cluster, processes
 from rotorwatch.base.many.done import Task
+from rotorwatch.base.many.limited import Workers
 from rotorwatch.base.many.result_cache import ResultCache
 from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
+from tests import misbehaving
 
 ROOT = Path(__file__).parents[1]
 
@@ -329,3 +333,23 @@ def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
 def test_workers_of_another_version_are_refused():
     said = cluster._do(pickle.dumps(number), None, "9.9")
     assert "has rotorwatch" in str(pickle.loads(said)[1])
+
+
+def test_only_the_thread_that_uses_a_process_closes_its_pipe(monkeypatch):
+    closed = []
+    stop = processes.Worker.stop
+
+    def counted(worker):
+        closed.append(threading.get_ident())
+        stop(worker)
+
+    monkeypatch.setattr(processes.Worker, "stop", counted)
+    workers = Workers(misbehaving.endless, 60.0, 500)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(workers.call, None)
+        while not (workers._all and workers._all[0].ready):
+            time.sleep(0.01)
+        workers.stop()
+        with pytest.raises(WorkerError, match="died"):
+            waiting.result()
+    assert closed and threading.get_ident() not in closed

@@ -60,8 +60,11 @@ class Workers:
     def stop(self) -> None:
         """End all processes, also busy ones."""
         self._stopping = True
-        for worker in list(self._all):
-            worker.stop()
+        with self._lock:
+            for worker in self._all:
+                worker.kill()
+            for worker in self._idle:  # nobody waits for it
+                worker.stop()
 
     def call(self, item: Any) -> Any:
         """job(item). Raises what the job raises, TooMuch, and WorkerError where no process can be started.

@@ -168,8 +168,13 @@ class Worker:
         limit_s = self.limit_s or 0.0 if self.ready else START_S
         return f"hung for {limit_s:g} s and more" if self.hung else f"died (exit code {self.process.exitcode})"
 
+    def kill(self) -> None:
+        """End it now, from any thread. A thread that waits in `call` finds it dead and closes the pipe, which no second thread may close:
+        the number of its descriptor can by then be another file's."""
+        self.process.kill()
+
     def stop(self) -> None:
-        """End it now."""
+        """End it now, from the thread that uses it."""
         self.process.kill()
         self.process.join()
         self.pipe.close()
