@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from tests import misbehaving
 
 from rotorwatch.base import many
 from rotorwatch.base.many import cluster, processes
@@ -25,7 +26,6 @@ from rotorwatch.base.many.done import Task
 from rotorwatch.base.many.limited import Workers
 from rotorwatch.base.many.result_cache import ResultCache
 from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
-from tests import misbehaving
 
 ROOT = Path(__file__).parents[1]
 
