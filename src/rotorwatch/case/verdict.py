@@ -148,6 +148,9 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     pushed_s = min((e.onset_s for e in found if e.kind == CONTACT and e.end_s is None), default=np.inf)
     claims = [c for c in claims if c.kind != EVIDENCE or c.onset_s < pushed_s - LEANS_S]
     view.open = ledger.open_claims(claims, found)
+    if view.consistent:
+        found = witness.ask(Stage.COMPARISON, view, found)
+        view.open = ledger.open_claims(view.open, found)
     tell(0.8)
     if view.consistent and log.hovers:
         found = witness.ask(Stage.SETUP, view, found)

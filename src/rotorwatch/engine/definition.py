@@ -19,6 +19,7 @@ from rotorwatch.engine.estimator import (
     bank,
     estimator,
     evidence,
+    explanations,
     hypotheses,
     kalman,
     model_error,
@@ -44,7 +45,7 @@ TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, *TRIM, engine, calls, estimator_whole, estimator_known, many, feed),
+    (*FRONT, *ESTIMATOR, *TRIM, engine, calls, estimator_whole, estimator_known, explanations, many, feed),
     SIZES,
     [
         *(file for folder in ("intake", "estimator", "drift", "events") for file in files_in(f"engine/{folder}")),

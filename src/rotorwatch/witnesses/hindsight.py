@@ -16,14 +16,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorwatch.base.arrays import median
 from rotorwatch.engine.bindings import event_rows
-from rotorwatch.engine.bindings.learning import LEARNED_WEIGHT
-from rotorwatch.engine.bindings.plant_rows import any_multirotor, lower_rotors
+from rotorwatch.engine.bindings.learning import dynamics
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.estimator import hypotheses
-from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
 from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ground_contact import on_ground
 from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.witnesses.witness import Stage, View, Witness, adding
@@ -32,50 +30,22 @@ SOURCE = Source(event_rows.HINDSIGHT, 3)
 LOOK_S = 7.0  # beyond the blind time: long enough to announce a loss at its end, and to show that it lasts
 REST_S = 20.0  # of flight after the blind time, to learn gains and noise without it
 LEAST = 0.05  # lower end of a loss: after a few seconds the trim of a healthy rotor is not known better
-CARRIES, CARRIES_S = 0.85, 1.0  # of later thrust per load, in a mean of so many s: ground effect saves less
 STANDS = 0.5  # of the hover command of another hop: no vehicle drops so much weight in flight
 
 
-def learned(carry, B: np.ndarray) -> dict:
-    """Dynamics for `program.parameters` from the last carry of the flight's first pass: its gains, damping and noise; biases open."""
-    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
-    s, P = np.asarray(carry.s), np.asarray(carry.P)
-    x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
-    x0[rows] = s[rows]
-    P0[rows], P0[:, rows] = 0.0, 0.0
-    P0[rows[:, None], rows] = P[rows[:, None], rows]
-    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.variances), "noise_weight": LEARNED_WEIGHT}
-    also = {"curve": CURVE, "air": AIR, **({"share": SHARE} if lower_rotors(B) is not None else {})}
-    known |= {name: [float(s[k]), float(P[k, k])] for name, k in also.items()}
-    return known
-
-
-def beginnings(ticks: Ticks) -> Ticks | None:
+def beginnings(ticks: Ticks, ground: np.ndarray) -> Ticks | None:
     """The first ticks of each hop once it is clear of the ground, all judged: its blind time and LOOK_S more, up to a knock or an upset;
     None without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted."""
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
     keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):
-        clear = _clear(ticks, flying, blind)
+        clear = int(np.argmin(np.append(ground[flying[:blind]], False)))
         look = flying[clear:][ticks.time[flying[clear:]] < ticks.time[flying[blind]] + LOOK_S]
         stopped = np.flatnonzero(stops[look])
         if clear < blind and (not stopped.size or stopped[0] > blind - clear):
             keep[look[: stopped[0]] if stopped.size else look] = True
             restart[look[0]] = True
     return _cut(ticks, keep, restart, JUDGE)
-
-
-def _clear(ticks: Ticks, flying: np.ndarray, blind: int) -> int:
-    """Index in the ticks `flying` of a hop from which its rotors carry the vehicle; `blind`: number of blind ticks."""
-    carried = ticks.thrust[flying].sum(axis=1) / np.maximum(ticks.load[flying], 0.1)
-    known = ticks.valid[flying, 3]
-    if not known[blind:].any():
-        return 0
-    carried = np.where(known, carried, median(carried[blind:][known[blind:]]))
-    few = max(1, round(CARRIES_S / ticks.dt))
-    mean = np.convolve(carried, np.ones(few) / few, "valid")
-    enough = np.flatnonzero(mean >= CARRIES * median(carried[blind:]))
-    return int(enough[0]) if enough.size else blind
 
 
 def rest(ticks: Ticks) -> Ticks | None:
@@ -106,19 +76,19 @@ def _cut(ticks: Ticks, keep: np.ndarray, restart: np.ndarray, mode: int) -> Tick
     return replace(ticks, restart=restart, mode=np.full(len(ticks.time), mode, np.int32)).part(keep)
 
 
-def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
+def find(carry, ticks: Ticks, B: np.ndarray, ground: np.ndarray | None = None) -> tuple[Event, ...]:
     """Losses that began in the blind time of a hop and last; `detected_s` is the end of the second pass, `live` is False.
 
     carry: the last of the first pass over `ticks`; B (4, n): effectiveness."""
-    again = beginnings(ticks)
+    again = beginnings(ticks, on_ground(ticks) if ground is None else ground)
     if again is None:
         return ()
-    _, out = estimate(again, B, learned(carry, B))
+    _, out = estimate(again, B, dynamics(carry, B))
     if not out.announced.any() and float(out.statistic.max()) > -hypotheses.CLEAR:
         # As likely as the disturbances, but not ten times: a loss in the blind time is part of the noise learned there, as disturbances
         # that explain it. The noise is learned again without it.
         later, _ = estimate(rest(ticks) or again, B)
-        _, out = estimate(again, B, learned(later, B))
+        _, out = estimate(again, B, dynamics(later, B))
     starts = again.time[again.restart]
     ends = np.append(again.time[np.flatnonzero(again.restart)[1:] - 1], again.time[-1])
     losses = []
@@ -135,7 +105,7 @@ def find(carry, ticks: Ticks, B: np.ndarray) -> tuple[Event, ...]:
 def _claims(view: View) -> tuple[Event, ...]:
     if view.known or view.learned is None or view.table is None:  # healthy flights would have shown it at once
         return ()
-    return find(view.learned, view.table, view.B)
+    return find(view.learned, view.table, view.B, view.ground)
 
 
 def _due(air: Spans, now: float, looked_s: float) -> bool:

@@ -1,4 +1,8 @@
-"""Losses near the ground: ground effect, uneven when the vehicle leans, and a leg that catches look the same."""
+"""Losses near the ground: ground effect, uneven when the vehicle leans, and a leg that catches or slides look the same.
+
+A claim that began while the ground carried a part of the vehicle (`engine.motion.ground_contact`), or within NEAR_M of the height of
+take-off, is not counted. The fall that a failure causes is no landing: it ends in a loss of control.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import numpy as np
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import LOSS
+from rotorwatch.flight.kinds import LOSS, OVERRIDE, TURNED
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 # m above the place of take-off: a rotor's diameter or two of most vehicles, and a leg. Ground effect is below 5 % of the thrust from one
@@ -36,19 +40,24 @@ def explains(flight: Flight, air: Spans, loss: Event) -> bool:
     return bool(max(onset, detected) - ground < NEAR_M)
 
 
-def warning(loss: Event) -> str:
-    """A sentence on a loss that is not counted."""
-    who = f"rotor{'s' if len(loss.rotors) > 1 else ''} {' and '.join(map(str, loss.rotors))}"
-    return (
-        f"At {loss.onset_s:.1f} s {who} seemed to lose thrust within {NEAR_M:g} m of the take-off height: "
-        "ground effect explains that as well, so it is not counted."
-    )
+def warning(claim: Event, why: str) -> str:
+    """A sentence on a claim that is not counted."""
+    who = f"rotor{'s' if len(claim.rotors) > 1 else ''} {' and '.join(map(str, claim.rotors))}" if claim.rotors else "a motor mount"
+    return f"At {claim.onset_s:.1f} s {who} seemed to be at fault {why}, so it is not counted."
 
 
 def _hear(view: View, claims: Events) -> Events:
-    low = [c for c in claims if view.hovers and c.kind == LOSS and explains(view.flight, view.air, c)]
-    view.warnings += map(warning, low)
-    return tuple(c for c in claims if c not in low)
+    if not view.hovers:
+        return claims
+    kept = []
+    for c in claims:
+        stands = c.kind in (LOSS, OVERRIDE, TURNED) and view.stands(c.onset_s)
+        if stands or (c.kind == LOSS and explains(view.flight, view.air, c)):
+            where = "while the ground carried a part of the vehicle" if stands else f"within {NEAR_M:g} m of the take-off height"
+            view.warnings.append(warning(c, f"{where}: the ground explains that as well"))
+        else:
+            kept.append(c)
+    return tuple(kept)
 
 
-WITNESSES = (Witness("near the ground", Stage.REVISION, 20, _hear, needs=("position", "motors")),)
+WITNESSES = (Witness("near the ground", Stage.REVISION, 20, _hear, needs=("motors",)),)

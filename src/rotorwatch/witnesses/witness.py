@@ -16,7 +16,9 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.engine.bindings.program import Learned
+from rotorwatch.engine.estimator.plant import AIR
 from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.motion.ground_contact import on_ground
 from rotorwatch.engine.motion.tick_table import Ticks, joined
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
@@ -24,6 +26,7 @@ from rotorwatch.flight.vehicle import Vehicle
 
 GROUP = "rotorwatch.witnesses"
 Events = tuple[Event, ...]
+FALLS_S = 8.0  # before a loss of control: what the controller does then is no landing
 
 
 class Stage(Enum):
@@ -33,10 +36,11 @@ class Stage(Enum):
     REVISION: the same once the flight is over: claims may be withdrawn.
     EVENTS: the events of the flight.
     OPEN: open claims (kinds of weight OPEN); `View.events` holds the events.
-    SETUP: the events, where the log is consistent; `View.open` holds the open claims that no event explains.
+    COMPARISON: the events, when the flight is over; `View.open` holds the open claims that no event explains, and may be changed.
+    SETUP: the events, where the log is consistent.
     """
 
-    CLAIMS, REVISION, EVENTS, OPEN, SETUP = range(5)
+    CLAIMS, REVISION, EVENTS, OPEN, COMPARISON, SETUP = range(6)
 
 
 @dataclass
@@ -76,6 +80,25 @@ class View:
     def table(self) -> Ticks | None:
         """All ticks in one table."""
         return joined(self.tables) if self.tables else None
+
+    @functools.cached_property
+    def ground(self) -> np.ndarray:
+        """(T,) bool: ticks in which the ground carries a part of the vehicle. A loss of control ends in no landing."""
+        table = self.table
+        if table is None:
+            return np.zeros(0, bool)
+        found = on_ground(table, 0.0 if self.learned is None else float(self.learned.s[AIR]))
+        for start, end in self.air:
+            lost = [t for t in self.lost if start <= t <= end]
+            if lost:
+                found &= ~((table.time > min(lost) - FALLS_S) & (table.time <= end))
+        return found
+
+    def stands(self, time: float) -> bool:
+        """True if the ground carries a part of the vehicle at a time [s]."""
+        if self.table is None or not len(self.table.time):
+            return False
+        return bool(self.ground[min(int(np.searchsorted(self.table.time, time)), len(self.ground) - 1)])
 
 
 class Witness(NamedTuple):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rotorwatch.engine.bindings.plant_rows import any_multirotor, lower_rotors
-from rotorwatch.engine.bindings.program import estimate
+from rotorwatch.engine.bindings.program import Learned, estimate
 from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
 from rotorwatch.engine.motion.tick_table import JUDGE, TICKS_S, Ticks
 
@@ -53,3 +53,17 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
         "dt": tables[0].dt, **known,
     }  # fmt: skip
+
+
+def dynamics(carry: Learned, B: np.ndarray) -> dict:
+    """Dynamics for `program.parameters` from the last state of a flight's first pass: its gains, damping and noise; biases open."""
+    rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
+    s, P = np.asarray(carry.s), np.asarray(carry.P)
+    x0, P0 = (a.copy() for a in any_multirotor(B.shape[1]))
+    x0[rows] = s[rows]
+    P0[rows], P0[:, rows] = 0.0, 0.0
+    P0[rows[:, None], rows] = P[rows[:, None], rows]
+    known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.variances), "noise_weight": LEARNED_WEIGHT}
+    also = {"curve": CURVE, "air": AIR, **({"share": SHARE} if lower_rotors(B) is not None else {})}
+    known |= {name: [float(s[k]), float(P[k, k])] for name, k in also.items()}
+    return known

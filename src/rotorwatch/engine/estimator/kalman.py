@@ -72,19 +72,19 @@ class Branch(Struct):
     def hop(self, p: Plant) -> None:
         """Start a new hop: keep the vehicle's parameters and the differences between healthy rotors; forget biases and weak rotors."""
         for a in range(4):
-            self._forget(p, a * PER_AXIS + B1)
-            self._forget(p, a * PER_AXIS + B2)
-            self._forget(p, a * PER_AXIS + B3)
+            self.forget(p, a * PER_AXIS + B1)
+            self.forget(p, a * PER_AXIS + B2)
+            self.forget(p, a * PER_AXIS + B3)
         for i in range(p.rotors):
             if self.active[i]:
-                self._forget(p, THETA + i)
+                self.forget(p, THETA + i)
                 self.P[entry(THETA + i, THETA + i)] = BUILT_SD * BUILT_SD
             self.active[i] = False
             self.alike[i] = False
             self.learning[i] = 0.0
             self.variance[i] = 0.0
 
-    def _forget(self, p: Plant, r: int) -> None:
+    def forget(self, p: Plant, r: int) -> None:
         self.s[r] = 0.0
         for c in range(THETA + p.rotors):
             self.P[entry(r, c)] = 0.0

@@ -1,0 +1,107 @@
+"""Explanations of one change in a log, compared: engine/estimator/explanations.py on a table of ticks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.engine.bindings.learning import dynamics
+from rotorwatch.engine.bindings.program import Learned, inputs, laid_out, parameters
+from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.estimator import estimator, explanations
+from rotorwatch.engine.estimator.estimator_sizes import PLACES
+from rotorwatch.engine.motion.tick_table import GROUND, Ticks
+
+NEVER = 1 << 30  # a tick
+
+
+class Explanation(NamedTuple):
+    """rotors: those that lose thrust, from 0; end_s: when they have it again. gives: standard deviation of a thrust that they give
+    whatever they are commanded; late: s by which they follow their commands more slowly, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this flight's disturbances.
+    force, force_s: factor of the disturbances, and s for which it lasts. The rest is as in explanations.py."""
+
+    rotors: tuple[int, ...] = ()
+    end_s: float = np.inf
+    gives: float = 0.0
+    late: float = 0.0
+    step: float = 0.0
+    force: float = 1.0
+    force_s: float = np.inf
+
+
+class Fit(NamedTuple):
+    """log_p: evidence, relative to nothing in particular. square (4,): mean square of the normalised innovations. loss, sd (n,)."""
+
+    log_p: float
+    square: np.ndarray
+    loss: np.ndarray
+    sd: np.ndarray
+
+
+@dataclass(frozen=True)
+class Span:
+    """Ticks of one hop around a change at `onset`, an index. width (4,): standard deviation of this flight's disturbances."""
+
+    ticks: Ticks
+    B: np.ndarray
+    y: np.ndarray
+    onset: int
+    learned: Learned
+
+    @property
+    def width(self) -> np.ndarray:
+        """Standard deviation of this flight's disturbances."""
+        return np.clip(3.0 * np.sqrt(self.learned.spread), 0.03, 1.0)
+
+
+def lagged(ticks: Ticks, B: np.ndarray, lag_s: float) -> Ticks:
+    """Ticks whose commands have passed a first-order lag of `lag_s` s."""
+    thrust = ticks.thrust.copy()
+    follows = 1.0 - np.exp(-ticks.dt / lag_s)
+    for k in range(1, len(thrust)):
+        thrust[k] = thrust[k - 1] + follows * (thrust[k] - thrust[k - 1])
+    return replace(ticks, thrust=thrust, wrench=thrust @ B.T)
+
+
+def span(table: Ticks, B: np.ndarray, learned: Learned, onset_s: float, before_s: float, end_s: float, known: np.ndarray) -> Span:
+    """The ticks from `before_s` s before a change to `end_s`, of its hop. known (T, n): losses of rotors that are no question here."""
+    k = int(np.searchsorted(table.command_time, onset_s))
+    starts = np.flatnonzero(table.restart)
+    first = int(starts[starts <= k][-1]) if (starts <= k).any() else 0
+    last = int(starts[starts > k][0]) if (starts > k).any() else len(table.time)
+    rows = np.flatnonzero(table.mode[first:last] > GROUND) + first
+    rows = rows[(table.command_time[rows] >= onset_s - before_s) & (table.command_time[rows] <= end_s)]
+    part = table.part(rows)
+    y = part.wrench - (part.thrust * known[rows]) @ B.T
+    return Span(part, B, y, int(np.searchsorted(part.command_time, onset_s)), learned)
+
+
+def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
+    """The fit of each explanation. The first one decides how far inputs are trusted."""
+    n, ticks = where.B.shape[1], where.ticks
+    u, _, valid = inputs(ticks, where.B)
+    plant = laid_out(parameters(where.B, ticks.dt, dynamics(where.learned, where.B)))
+    tables = np.ascontiguousarray(u, float), np.ascontiguousarray(where.y, float), np.ascontiguousarray(valid, bool)
+    noise = np.ascontiguousarray(np.asarray(where.learned.variances).reshape(-1))
+    time, begin = ticks.command_time, float(ticks.command_time[where.onset]) if where.onset < len(ticks.time) else np.inf
+    found: list[Fit] = []
+
+    def tick(at_s: float) -> int:
+        return int(np.searchsorted(time, at_s)) if np.isfinite(at_s) else NEVER
+
+    for first in range(1, max(len(them), 2), PLACES - 1):
+        group = [them[0], *them[first : first + PLACES - 1]]
+        rows = ENGINE.array(explanations.Explanation, len(group))
+        rows.fill(
+            rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),
+            gives=np.array([e.gives for e in group]), late=np.array([e.late for e in group]), step=np.array([e.step * where.width for e in group]),
+            force=np.array([e.force for e in group]), calm=np.array([tick(begin + e.force_s) for e in group]),
+        )  # fmt: skip
+        ENGINE.call(explanations.explain, plant, ENGINE.new(estimator.Estimator), noise, len(time), *tables, where.onset, len(group), rows)
+        sd = np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))
+        fits = [Fit(float(rows["fit"][k]), rows["square"][k].copy(), rows["loss"][k, :n].copy(), sd[k]) for k in range(len(group))]
+        found += fits if first == 1 else fits[1:]
+    return found

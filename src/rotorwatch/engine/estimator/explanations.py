@@ -1,0 +1,157 @@
+"""Explanations of one change, compared on all motion before and after it.
+
+Each explanation is a filter of its own (kalman.py) over the same ticks. They are alike until the onset. From then on an explanation may
+hold a loss of some rotors, a rotor stuck at one thrust or slower than before, a step of the trim, and a free wrench: disturbances `force` times as strong as in
+the rest of the flight, as the ground, a tether, a wake or a gust cause. Its evidence is the likelihood of all four axes after the onset,
+
+    log p = sum_k sum_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ]
+
+with the innovations nu and their variances S of its filter. A loss must thus predict what follows as well as the healthy model predicted
+what came before: where it does not, a free wrench, alone or beside the loss, has more evidence.
+"""
+
+from __future__ import annotations
+
+from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, exp, local, log
+from rotorwatch.engine.estimator.batch import take
+from rotorwatch.engine.estimator.estimator import Estimator
+from rotorwatch.engine.estimator.estimator_sizes import ROTORS
+from rotorwatch.engine.estimator.hypotheses import NONE
+from rotorwatch.engine.estimator.kalman import Branch, Measured
+from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, Inputs, Plant, entry, set_plant
+from rotorwatch.engine.intake.ticks import JUDGE
+
+WIDTH = 0.5  # standard deviation of a loss before the data
+
+
+class Explanation(Struct):
+    """What an explanation holds from the onset on, and its result."""
+
+    rotors: int = 0  # set of those that lose thrust
+    end: int = 0  # tick at which they have it again
+    late: Real = 0.0  # s by which their thrust lags behind the command, instead of a loss; 0: they lose thrust
+    gives: Real = 0.0  # standard deviation of the thrust that they give whatever they are commanded, hover thrusts; 0: they follow
+    step = array(REAL, 4)  # standard deviation of a step of the trim, hover thrusts
+    force: Real = 1.0  # factor of the disturbances
+    calm: int = 0  # tick at which it ends
+    fit: Real = 0.0  # log p
+    square = array(REAL, 4)  # mean square of the normalised innovations from the onset on
+    loss = array(REAL, ROTORS)  # at its end
+    variance = array(REAL, ROTORS)
+    thrust = array(REAL, ROTORS)  # of the rotors that lag, at this tick
+
+
+def explain(
+    p: Plant, e: Estimator, variances: Reals, count: int, u: Reals, y: Reals, valid: Flags, onset: int, many: int, all: list[Explanation]
+) -> None:
+    """Compare `many` explanations, at most PLACES, over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y, valid: as in
+    `batch.run`; onset: a tick. The first explanation is the one whose state tells how far inputs are to be trusted."""
+    n = p.rotors
+    now = Inputs()
+    set_plant(p)
+    e.begin(p)
+    for c in range(4):
+        for a in range(4):
+            e.noise.v[c][a] = variances[4 * c + a]
+    for k in range(many):
+        e.branches.all[k].begin(p)
+        e.branches.all[k].weight = 0.0
+        all[k].fit = 0.0
+        for a in range(4):
+            all[k].square[a] = 0.0
+    judged = 0.0
+    wrench = local(REAL, 4)
+    for t in range(count):
+        first = t * (n + 15)
+        take(p, u, first, now)
+        now.mode = JUDGE
+        now.restart = t == 0
+        for a in range(4):
+            now.wrench[a] = y[4 * t + a]
+            now.valid[a] = valid[4 * t + a]
+        again = t > 0 and u[first + n + 14] > 0.5
+        for k in range(many):
+            if again:
+                e.branches.all[k].open(p)
+            _change(p, e.branches.all[k], all[k], t, onset)
+            e.branches.all[k].predict(p, e.noise, 1.0, True)
+            if t >= onset and t < all[k].calm:
+                _stir(p, e.branches.all[k], e.noise, all[k].force * all[k].force - 1.0)
+        e.look(p, now, True, True)
+        for a in range(4):
+            wrench[a] = e.measured.y[a]
+        for k in range(many):
+            one = e.branches.all[k]
+            for a in range(4):
+                e.measured.y[a] = wrench[a]
+            _lag(p, all[k], now, t >= onset, e.measured)
+            one.update(p, e.rows, e.measured, e.seen.gain_share)
+            if t >= onset:
+                for a in range(4):
+                    if e.measured.counts[a]:
+                        away = one.innovation[a] * one.innovation[a] / one.S[a]
+                        all[k].fit -= 0.5 * (log(one.S[a]) + away)
+                        all[k].square[a] += away
+        if t >= onset:
+            judged += 1.0
+    for k in range(many):
+        for a in range(4):
+            all[k].square[a] /= max(judged, 1.0)
+        if all[k].end >= count:
+            _read(p, e.branches.all[k], all[k])
+
+
+def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None:
+    """Apply what begins or ends at tick t."""
+    begins = t == onset
+    ends = t == how.end and t > onset
+    if ends:
+        _read(p, one, how)
+    for i in range(p.rotors):
+        if (how.rotors & (1 << i)) == 0 or how.late > 0.0:
+            continue
+        if begins:
+            one.P[entry(THETA + i, THETA + i)] += WIDTH * WIDTH
+            one.active[i] = True
+            if how.gives > 0.0:
+                one.forget(p, THETA + i)
+                one.s[THETA + i] = 1.0
+                one.P[entry(THETA + i, THETA + i)] = NONE * NONE
+                for a in range(4):
+                    for b in range(a + 1):
+                        both = p.effect[a][i] * p.effect[b][i] * how.gives * how.gives
+                        one.P[entry(a * PER_AXIS + B3, b * PER_AXIS + B3)] += both
+        if ends:
+            one.forget(p, THETA + i)
+            one.active[i] = False
+    if begins or ends or (t == how.calm and t > onset):
+        for a in range(4):
+            one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
+
+
+def _lag(p: Plant, how: Explanation, now: Inputs, lags: bool, m: Measured) -> None:
+    """Take from the commanded wrench what rotors that lag do not give yet."""
+    for i in range(p.rotors):
+        if (how.rotors & (1 << i)) == 0 or how.late <= 0.0:
+            continue
+        follows = 1.0 - exp(-p.dt / how.late) if lags and now.valid[0] else 1.0
+        how.thrust[i] += follows * (now.thrust[i] - how.thrust[i])
+        for a in range(4):
+            if m.counts[a]:
+                m.y[a] -= p.effect[a][i] * (now.thrust[i] - how.thrust[i])
+
+
+def _read(p: Plant, one: Branch, how: Explanation) -> None:
+    for i in range(p.rotors):
+        how.loss[i] = one.s[THETA + i]
+        how.variance[i] = one.P[entry(THETA + i, THETA + i)]
+
+
+def _stir(p: Plant, one: Branch, noise: Noise, more: Real) -> None:
+    """Add the disturbances of a free wrench."""
+    for a in range(4):
+        b = a * PER_AXIS
+        one.P[entry(b + B1, b + B1)] += more * noise.v[FAST][a] * (1.0 - p.left[0] * p.left[0])
+        one.P[entry(b + B2, b + B2)] += more * noise.v[SLOW][a] * (1.0 - p.left[1] * p.left[1])
+        one.P[entry(b + B3, b + B3)] += more * noise.v[DRIFT][a] * p.dt

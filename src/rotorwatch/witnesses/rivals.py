@@ -1,0 +1,213 @@
+"""Losses compared with their rivals: nothing, wind, the ground, a slow motor, another rotor.
+
+The estimator announces a loss as soon as it is likelier than what it has seen of this flight's disturbances. After the flight more is
+known: the motion that followed. A loss must predict it, on all axes, as well as the healthy model predicted the motion before; wind, a
+knock, the ground or a tether need not have the direction of a rotor, nor follow its command. Each explanation e of a change has the
+evidence log p_e of `engine.estimator.explanations` and a prior log weight, and
+
+    P(loss of these rotors) = sum of w_e p_e over explanations with it / sum over all
+
+Where the rest is likelier, the loss is no event. Where it is less than ten times less likely, it is an open claim, and where another
+rotor is, that rotor is an alternative. An open claim of one rotor that is SURE becomes an event, and one that is not credible is dropped. A
+loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
+from rotorwatch.engine.events.decisions import CLEAR
+from rotorwatch.engine.events.losses import WITHIN_95
+from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.flight.kinds import EVIDENCE, LOSS
+from rotorwatch.witnesses.witness import Events, Stage, View, Witness
+
+SOURCE = Source("rivals", 3)
+BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection; after the end
+SHORTEST_S = 3.0  # of motion after the onset
+FALL_S = 4.0  # before a loss of control: what follows is the fall
+SURE, CREDIBLE = 0.99, 0.05  # probabilities from which an open claim becomes an event, and below which it is dropped
+# Log weights, relative to a loss of one particular rotor.
+NOTHING, STEP, BURST, BESIDE, PAIR, STUCK, SLOW = 3.0, 2.0, 2.0, -2.0, -2.3, -2.3, -1.0
+BURSTS = (
+    (10.0, 0.3),
+    (10.0, 1.0),
+    (10.0, 3.0),
+    (3.0, 10.0),
+    (10.0, 10.0),
+    (3.0, np.inf),
+)  # factor of the disturbances, and s that it lasts
+BESIDES = ((10.0, 0.3), (10.0, 1.0), (10.0, 3.0), (3.0, np.inf))
+STEPS = (1.0, 4.0)  # in standard deviations of this flight's disturbances
+LATES_S = (0.08, 0.2)  # of a slow motor
+LAGS_S = (0.0, 0.03, 0.06)  # of all motors, beyond the lag that the ticks assume
+
+
+class Rival(NamedTuple):
+    """An explanation and its prior log weight."""
+
+    how: Explanation
+    weight: float = 0.0
+
+    @property
+    def weak(self) -> tuple[int, ...]:
+        """The rotors that lose thrust, from 0."""
+        return () if self.how.late else self.how.rotors
+
+
+def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
+    """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of."""
+    rest = [Rival(Explanation(), NOTHING), *(Rival(Explanation(step=s), STEP) for s in STEPS)]
+    rest += [Rival(Explanation(step=1.0, force=f, force_s=s), BURST) for f, s in BURSTS]
+    rest += [Rival(Explanation((i,), end_s, late=late), SLOW) for i in range(n) for late in LATES_S]
+    singles = [Rival(Explanation((i,), end_s)) for i in range(n) if (i,) != claim]
+    if not claim:
+        return [*rest, *singles]
+    own = [Rival(Explanation(claim, end_s)), Rival(Explanation(claim)), Rival(Explanation(claim, end_s, gives=2.0), STUCK)]
+    own += [Rival(Explanation(claim, end_s, step=1.0, force=f, force_s=s), BESIDE) for f, s in BESIDES]
+    pairs = [Rival(Explanation((*claim, i), end_s), PAIR) for i in range(n) if len(claim) == 1 and i not in claim]
+    return [*own, *rest, *singles, *pairs]
+
+
+class Weighed(NamedTuple):
+    """Probabilities: of a loss of the claimed rotors, with others or not; of no loss; of each other set of rotors, from 0. lasts: log odds
+    that the loss is not over. loss, sd: of each set."""
+
+    claim: float
+    none: float
+    others: dict[tuple[int, ...], float]
+    lasts: float
+    loss: dict[tuple[int, ...], np.ndarray]
+    sd: dict[tuple[int, ...], np.ndarray]
+
+
+def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True) -> Weighed | None:
+    """The probabilities of a loss and its rivals; None where too little follows it to tell. events: all of the flight; named: the event's
+    rotors are claimed, else any one may be."""
+    table, B, learned = view.table, view.B, view.learned
+    assert table is not None and learned is not None
+    claim = tuple(r - 1 for r in event.rotors) if named else ()
+    end_s = np.inf if event.end_s is None or not named else event.end_s
+    begun = event.detected_s if named else event.onset_s
+    others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
+    until = min([begun + AFTER_S, end_s + OVER_S, *others])
+    where = span(table, B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
+    if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S or min(end_s, until) - event.onset_s < SHORTEST_S:
+        return None
+    where = _in_time(where)
+    them = rivals(B.shape[1], claim, end_s)
+    fits = compare(where, [r.how for r in them])
+    logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
+    share = np.exp(logs - logs.max())
+    share /= share.sum()
+    weak = [tuple(sorted(i for i in r.weak if f.loss[i] > 0.0)) for f, r in zip(fits, them)]
+    late = [r.how.rotors if r.how.late else () for r in them]
+    mine = np.array([bool(claim) and (set(claim) <= set(w) or claim == late_) for w, late_ in zip(weak, late)])
+    none = np.array([not w for w in weak]) & ~mine
+    rest = sorted(set(weak) - {w for w, own in zip(weak, mine) if own} - {()})
+    best = {w: max((k for k in range(len(them)) if weak[k] == w), key=lambda k: share[k]) for w in rest}
+    return Weighed(
+        float(share[mine].sum()),
+        float(share[none].sum()),
+        {w: float(sum(share[k] for k in range(len(them)) if weak[k] == w)) for w in rest},
+        fits[1].log_p - fits[0].log_p if claim else 0.0,
+        {w: fits[k].loss[list(w)] for w, k in best.items()},
+        {w: fits[k].sd[list(w)] for w, k in best.items()},
+    )
+
+
+def _in_time(where: Span) -> Span:
+    """The span with its commands delayed by the lag of all motors that explains the motion before the change best."""
+    early = replace(where, onset=round(1.0 / where.ticks.dt))
+    before = [early] + [replace(early, ticks=lagged(where.ticks, where.B, lag)) for lag in LAGS_S[1:]]
+    before = [replace(s, y=s.y + s.ticks.wrench - where.ticks.wrench) for s in before]
+    fits = [compare(replace(s, ticks=s.ticks.part(slice(0, where.onset)), y=s.y[: where.onset]), [Explanation()])[0].log_p for s in before]
+    return replace(before[int(np.argmax(fits))], onset=where.onset)
+
+
+def _known(view: View, event: Event, events: Sequence[Event]) -> np.ndarray:
+    """(T, n) losses of other rotors at the ticks."""
+    assert view.table is not None
+    known = np.zeros_like(view.table.thrust)
+    for e in events:
+        if e.kind != LOSS or e.alternatives or set(e.rotors) & set(event.rotors):
+            continue
+        rows = (view.table.command_time >= e.onset_s) & (view.table.command_time <= (np.inf if e.end_s is None else e.end_s))
+        for rotor, loss in zip(e.rotors, e.loss):
+            known[rows, rotor - 1] = loss
+    return known
+
+
+def _hear(view: View, events: Events) -> Events:
+    """The events and, in `view.open`, the open claims, as the comparison leaves them."""
+    if not (view.hovers and view.default) or view.learned is None or view.table is None:
+        return events
+    kept: list[Event] = []
+    open_: list[Event] = []
+    for e in events:
+        near_fall = any(e.onset_s <= t <= e.detected_s + FALL_S for t in view.lost)
+        if any(k.end_s is None and k.kind == e.kind == LOSS and k.rotors == e.rotors for k in kept):
+            continue  # an earlier one lasts
+        found = None if e.kind != LOSS or near_fall else weigh(view, e, events)
+        if found is None:
+            kept.append(e)
+        elif found.none > 0.5:
+            view.warnings.append(_warning(e))
+        elif found.none > 1.0 / (1.0 + CLEAR):
+            until = e.detected_s if e.end_s is None else e.end_s
+            open_.append(residual_evidence.claim(e.rotors, e.onset_s, until, e.interval, found.claim))
+        else:
+            kept.append(_named(e, found))
+    for c in view.open:
+        if c.kind == EVIDENCE and view.stands(c.onset_s):
+            continue
+        found = weigh(view, c, kept, named=False) if c.kind == EVIDENCE else None
+        if found is None:
+            open_.append(c)
+            continue
+        best = max((who for who in found.others if set(who) <= {r - 1 for r in c.rotors}), key=lambda w: found.others[w], default=None)
+        share = 0.0 if best is None else found.others[best]
+        if best is not None and share > SURE:
+            kept.append(_event(view, c, best, found))
+        elif share > CREDIBLE:
+            open_.append(c)
+    view.open = tuple(open_)
+    return tuple(sorted(kept, key=lambda e: e.detected_s))
+
+
+def _named(event: Event, found: Weighed) -> Event:
+    """The event with the rotors that explain the motion nearly as well, and without an end that the motion denies."""
+    near = [tuple(i + 1 for i in sorted(who)) for who, p in found.others.items() if p > found.claim / CLEAR]
+    event = replace(event, alternatives=(*event.alternatives, *(s for s in near if s not in event.alternatives)))
+    return replace(event, end_s=None) if found.lasts > np.log(SURE / (1.0 - SURE)) else event
+
+
+def _event(view: View, claim: Event, who: tuple[int, ...], found: Weighed) -> Event:
+    """A loss that an open claim has turned out to be."""
+    loss = np.clip(found.loss[who], 0.0, 1.0)
+    sd = event_rows.sd_of(loss, found.sd[who], view.B)
+    interval = tuple((float(max(0.0, a - WITHIN_95 * b)), float(min(1.0, a + WITHIN_95 * b))) for a, b in zip(loss, sd))
+    names = " and ".join(str(i + 1) for i in who)
+    reason = (
+        f"the motion of the {AFTER_S:.0f} s after {claim.onset_s:.1f} s is that of a vehicle whose rotor {names} lacks thrust, and no "
+        "wind, load or other rotor explains it as well"
+    )
+    extra = {"live": False, "loss_2s": [round(float(x), 4) for x in loss]}
+    return Event(
+        LOSS, tuple(i + 1 for i in who), claim.onset_s, claim.onset_s + AFTER_S, None, tuple(map(float, loss)), interval, found.others[who],
+        (), reason, extra, SOURCE,
+    )  # fmt: skip
+
+
+def _warning(loss: Event) -> str:
+    who = f"rotor{'s' if len(loss.rotors) > 1 else ''} {' and '.join(map(str, loss.rotors))}"
+    return f"At {loss.onset_s:.1f} s {who} seemed to lose thrust, but the motion that followed is explained without it: not counted."
+
+
+WITNESSES = (Witness("rivals", Stage.COMPARISON, 10, _hear),)
