@@ -87,7 +87,7 @@ class View:
         table = self.table
         if table is None:
             return np.zeros(0, bool)
-        found = on_ground(table, 0.0 if self.learned is None else float(self.learned.s[AIR]))
+        found = on_ground(table, self.air, 0.0 if self.learned is None else float(self.learned.s[AIR]))
         for start, end in self.air:
             lost = [t for t in self.lost if start <= t <= end]
             if lost:
