@@ -8,6 +8,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings.learning import dynamics
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.motion.tick_table import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.witnesses import hindsight
@@ -129,7 +130,7 @@ def test_what_is_learned_from_is_all_that_follows_the_blind_time():
 
 def test_what_a_flight_has_taught_leaves_biases_open():
     carry = SimpleNamespace(s=np.ones(24), P=0.01 * np.eye(24), variances=np.ones((4, 4)))
-    known = hindsight.learned(carry, QUAD)
+    known = dynamics(carry, QUAD)
     axes, spread = known["x0"].reshape(4, -1), np.diag(known["P0"]).reshape(4, -1)
     assert (axes[:, 3:] == 1.0).all()
     assert (axes[:, :3] == 0.0).all()

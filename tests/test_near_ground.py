@@ -57,5 +57,5 @@ def test_a_height_that_is_not_known_explains_nothing():
 
 
 def test_the_warning_names_rotor_and_time():
-    text = near_ground.warning(loss(51.0, 51.5))
+    text = near_ground.warning(loss(51.0, 51.5), "near the ground")
     assert "51.0 s" in text and "rotor 2" in text and "not counted" in text

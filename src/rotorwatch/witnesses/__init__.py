@@ -5,7 +5,8 @@ hindsight.py             losses in the blind time, once the flight's gains and n
 excitation_response.py   the response to an excitation of the commands
 attainable.py            every thrust and moment that a vehicle can still give, and its margins in hover
 null_space.py            commands that move nothing, and the noise that their effect is seen in
-near_ground.py           losses that ground effect explains as well
+near_ground.py           losses that the ground explains as well
+rivals.py                losses compared with what else explains the motion that followed
 leaning.py               a lasting lateral force at rest: contact, however slowly it began
 reports.py               the autopilot's own reports, and quantities beyond five of its limits
 battery.py               whether the battery's voltage fell by more than its current explains

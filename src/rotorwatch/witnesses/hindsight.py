@@ -33,9 +33,11 @@ LEAST = 0.05  # lower end of a loss: after a few seconds the trim of a healthy r
 STANDS = 0.5  # of the hover command of another hop: no vehicle drops so much weight in flight
 
 
-def beginnings(ticks: Ticks, ground: np.ndarray) -> Ticks | None:
+def beginnings(ticks: Ticks, ground: np.ndarray | None = None) -> Ticks | None:
     """The first ticks of each hop once it is clear of the ground, all judged: its blind time and LOOK_S more, up to a knock or an upset;
-    None without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted."""
+    None without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted. ground (T,): ticks in
+    which the ground carries a part; None: by `on_ground`."""
+    ground = on_ground(ticks) if ground is None else ground
     stops = ticks.upset if ticks.contact is None else ticks.upset | ticks.contact
     keep, restart = np.zeros(len(ticks.time), bool), np.zeros(len(ticks.time), bool)
     for flying, blind in _hops(ticks):
@@ -80,7 +82,7 @@ def find(carry, ticks: Ticks, B: np.ndarray, ground: np.ndarray | None = None) -
     """Losses that began in the blind time of a hop and last; `detected_s` is the end of the second pass, `live` is False.
 
     carry: the last of the first pass over `ticks`; B (4, n): effectiveness."""
-    again = beginnings(ticks, on_ground(ticks) if ground is None else ground)
+    again = beginnings(ticks, ground)
     if again is None:
         return ()
     _, out = estimate(again, B, dynamics(carry, B))

@@ -45,6 +45,7 @@ BURSTS = (
 )  # factor of the disturbances, and s that it lasts
 BESIDES = ((10.0, 0.3), (10.0, 1.0), (10.0, 3.0), (3.0, np.inf))
 STEPS = (1.0, 4.0)  # in standard deviations of this flight's disturbances
+DRIFTS = (0.04, 0.12)  # of the trim in roll and pitch, hover thrusts per sqrt(s): a centre of mass that moves
 LATES_S = (0.08, 0.2)  # of a slow motor
 LAGS_S = (0.0, 0.03, 0.06)  # of all motors, beyond the lag that the ticks assume
 
@@ -65,6 +66,7 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
     """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of."""
     rest = [Rival(Explanation(), NOTHING), *(Rival(Explanation(step=s), STEP) for s in STEPS)]
     rest += [Rival(Explanation(step=1.0, force=f, force_s=s), BURST) for f, s in BURSTS]
+    rest += [Rival(Explanation(drift=d), STEP) for d in DRIFTS]
     rest += [Rival(Explanation((i,), end_s, late=late), SLOW) for i in range(n) for late in LATES_S]
     singles = [Rival(Explanation((i,), end_s)) for i in range(n) if (i,) != claim]
     if not claim:

@@ -7,5 +7,6 @@ default.py            the same as an interchangeable method
 learning.py           noise and gains from healthy flights
 event_rows.py         the definitions' losses and events, in words
 residual_evidence.py  evidence that no event explains
+explaining.py         explanations of one change, compared
 shipping.py           machine code for the package
 """

@@ -20,8 +20,9 @@ NEVER = 1 << 30  # a tick
 
 class Explanation(NamedTuple):
     """rotors: those that lose thrust, from 0; end_s: when they have it again. gives: standard deviation of a thrust that they give
-    whatever they are commanded; late: s by which they follow their commands more slowly, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this flight's disturbances.
-    force, force_s: factor of the disturbances, and s for which it lasts. The rest is as in explanations.py."""
+    whatever they are commanded; late: s by which they follow their commands more slowly, instead of a loss. step: standard deviation of a
+    step of the trim of each axis, in those of this flight's disturbances. force: factor of the disturbances, drift: of the trim in roll and
+    pitch [hover thrusts per sqrt(s)], force_s: s for which both last."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -29,6 +30,7 @@ class Explanation(NamedTuple):
     late: float = 0.0
     step: float = 0.0
     force: float = 1.0
+    drift: float = 0.0
     force_s: float = np.inf
 
 
@@ -95,10 +97,10 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     for first in range(1, max(len(them), 2), PLACES - 1):
         group = [them[0], *them[first : first + PLACES - 1]]
         rows = ENGINE.array(explanations.Explanation, len(group))
+        columns = {name: np.array([getattr(e, name) for e in group]) for name in ("gives", "late", "force", "drift")}
         rows.fill(
             rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),
-            gives=np.array([e.gives for e in group]), late=np.array([e.late for e in group]), step=np.array([e.step * where.width for e in group]),
-            force=np.array([e.force for e in group]), calm=np.array([tick(begin + e.force_s) for e in group]),
+            calm=np.array([tick(begin + e.force_s) for e in group]), step=np.array([e.step * where.width for e in group]), **columns,
         )  # fmt: skip
         ENGINE.call(explanations.explain, plant, ENGINE.new(estimator.Estimator), noise, len(time), *tables, where.onset, len(group), rows)
         sd = np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))

@@ -1,8 +1,9 @@
 """Explanations of one change, compared on all motion before and after it.
 
 Each explanation is a filter of its own (kalman.py) over the same ticks. They are alike until the onset. From then on an explanation may
-hold a loss of some rotors, a rotor stuck at one thrust or slower than before, a step of the trim, and a free wrench: disturbances `force` times as strong as in
-the rest of the flight, as the ground, a tether, a wake or a gust cause. Its evidence is the likelihood of all four axes after the onset,
+hold a loss of some rotors, a rotor stuck at one thrust or slower than before, a step or a drift of the trim, and a free wrench:
+disturbances `force` times as strong as in the rest of the flight, as the ground, a tether, a wake or a gust cause. Its
+evidence is the likelihood of all four axes after the onset,
 
     log p = sum_k sum_a [ -log S_a / 2 - nu_a^2 / (2 S_a) ]
 
@@ -19,7 +20,7 @@ from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, Inputs, Plant, entry, set_plant
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, entry, set_plant
 from rotorwatch.engine.intake.ticks import JUDGE
 
 WIDTH = 0.5  # standard deviation of a loss before the data
@@ -34,6 +35,7 @@ class Explanation(Struct):
     gives: Real = 0.0  # standard deviation of the thrust that they give whatever they are commanded, hover thrusts; 0: they follow
     step = array(REAL, 4)  # standard deviation of a step of the trim, hover thrusts
     force: Real = 1.0  # factor of the disturbances
+    drift: Real = 0.0  # of the trim in roll and pitch, as a centre of mass that moves causes, hover thrusts per sqrt(s)
     calm: int = 0  # tick at which it ends
     fit: Real = 0.0  # log p
     square = array(REAL, 4)  # mean square of the normalised innovations from the onset on
@@ -43,10 +45,10 @@ class Explanation(Struct):
 
 
 def explain(
-    p: Plant, e: Estimator, variances: Reals, count: int, u: Reals, y: Reals, valid: Flags, onset: int, many: int, all: list[Explanation]
+    p: Plant, e: Estimator, variances: Reals, count: int, u: Reals, y: Reals, valid: Flags, onset: int, many: int, them: list[Explanation]
 ) -> None:
-    """Compare `many` explanations, at most PLACES, over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y, valid: as in
-    `batch.run`; onset: a tick. The first explanation is the one whose state tells how far inputs are to be trusted."""
+    """Compare `many` explanations, at most PLACES, over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y,
+    valid: as in `batch.run`; onset: a tick. The first explanation's state decides how far inputs are trusted."""
     n = p.rotors
     now = Inputs()
     set_plant(p)
@@ -57,9 +59,9 @@ def explain(
     for k in range(many):
         e.branches.all[k].begin(p)
         e.branches.all[k].weight = 0.0
-        all[k].fit = 0.0
+        them[k].fit = 0.0
         for a in range(4):
-            all[k].square[a] = 0.0
+            them[k].square[a] = 0.0
     judged = 0.0
     wrench = local(REAL, 4)
     for t in range(count):
@@ -74,10 +76,10 @@ def explain(
         for k in range(many):
             if again:
                 e.branches.all[k].open(p)
-            _change(p, e.branches.all[k], all[k], t, onset)
+            _change(p, e.branches.all[k], them[k], t, onset)
             e.branches.all[k].predict(p, e.noise, 1.0, True)
-            if t >= onset and t < all[k].calm:
-                _stir(p, e.branches.all[k], e.noise, all[k].force * all[k].force - 1.0)
+            if t >= onset and t < them[k].calm:
+                _stir(p, e.branches.all[k], e.noise, them[k].force * them[k].force - 1.0, them[k].drift)
         e.look(p, now, True, True)
         for a in range(4):
             wrench[a] = e.measured.y[a]
@@ -85,21 +87,21 @@ def explain(
             one = e.branches.all[k]
             for a in range(4):
                 e.measured.y[a] = wrench[a]
-            _lag(p, all[k], now, t >= onset, e.measured)
+            _lag(p, them[k], now, t >= onset, e.measured)
             one.update(p, e.rows, e.measured, e.seen.gain_share)
             if t >= onset:
                 for a in range(4):
                     if e.measured.counts[a]:
                         away = one.innovation[a] * one.innovation[a] / one.S[a]
-                        all[k].fit -= 0.5 * (log(one.S[a]) + away)
-                        all[k].square[a] += away
+                        them[k].fit -= 0.5 * (log(one.S[a]) + away)
+                        them[k].square[a] += away
         if t >= onset:
             judged += 1.0
     for k in range(many):
         for a in range(4):
-            all[k].square[a] /= max(judged, 1.0)
-        if all[k].end >= count:
-            _read(p, e.branches.all[k], all[k])
+            them[k].square[a] /= max(judged, 1.0)
+        if them[k].end >= count:
+            _read(p, e.branches.all[k], them[k])
 
 
 def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None:
@@ -148,10 +150,12 @@ def _read(p: Plant, one: Branch, how: Explanation) -> None:
         how.variance[i] = one.P[entry(THETA + i, THETA + i)]
 
 
-def _stir(p: Plant, one: Branch, noise: Noise, more: Real) -> None:
-    """Add the disturbances of a free wrench."""
+def _stir(p: Plant, one: Branch, noise: Noise, more: Real, drift: Real) -> None:
+    """Add the disturbances of a free wrench, and the drift of a centre of mass."""
     for a in range(4):
         b = a * PER_AXIS
         one.P[entry(b + B1, b + B1)] += more * noise.v[FAST][a] * (1.0 - p.left[0] * p.left[0])
         one.P[entry(b + B2, b + B2)] += more * noise.v[SLOW][a] * (1.0 - p.left[1] * p.left[1])
         one.P[entry(b + B3, b + B3)] += more * noise.v[DRIFT][a] * p.dt
+        if a < YAW:
+            one.P[entry(b + B3, b + B3)] += drift * drift * p.dt

@@ -9,6 +9,7 @@ samples.py      signals in the definitions' form
 overrides.py    outputs that deviate from the mixer
 knocks.py       knocks: motion that rotors cannot cause
 tick_table.py   the tick table: commands and motion at one rate
+ground_contact.py  ticks in which the ground carries a part of the vehicle
 inertial.py     gyro, attitude and the controller's rates, compared
 order.py        the order of the outputs, by the motion that follows them
 trust.py        consistency tests of the log

@@ -24,20 +24,19 @@ MOSTLY = 0.7  # share of the ticks from a first contact to the end that the grou
 
 def on_ground(ticks: Ticks, air: Spans = (), air_effect: float = 0.0) -> np.ndarray:
     """(T,) bool: the ground carries a part. air: ((start, end), ...) s of each flight; air_effect: share of thrust per m/s of climb."""
-    carried = ticks.thrust.mean(axis=1)
-    moves = np.zeros(len(carried), bool)
-    if ticks.axial is not None:
-        axial = np.nan_to_num(ticks.axial)
-        carried, moves = carried - air_effect * axial, abs(axial) > STILL
-    carried = np.where(ticks.valid[:, 3], carried / np.maximum(ticks.load, 0.3), np.nan)
-    found = np.zeros(len(carried), bool)
-    judged = (ticks.mode == JUDGE) & np.isfinite(carried)
+    axial = np.zeros(len(ticks.time)) if ticks.axial is None else np.nan_to_num(ticks.axial)
+    # All rotors together, and the middle one of them, which does not change where a weak rotor is commanded more.
+    carried = np.stack([ticks.thrust.mean(axis=1), median(ticks.thrust, axis=1)], axis=1) - air_effect * axial[:, None]
+    carried = np.where(ticks.valid[:, 3:], carried / np.maximum(ticks.load, 0.3)[:, None], np.nan)
+    known, moves = np.isfinite(carried[:, 0]), abs(axial) > STILL
+    found = np.zeros(len(known), bool)
+    judged = (ticks.mode == JUDGE) & known
     if not judged.any():
         return found
-    usual, hover = float(median(carried[judged])), float(median(ticks.hover[judged]))
+    usual, hover = median(carried[judged], axis=0), float(median(ticks.hover[judged]))
     starts = np.flatnonzero(ticks.restart)
-    for first, last in zip(starts, [*starts[1:], len(carried)]):
-        hop = np.flatnonzero((ticks.mode[first:last] > GROUND) & np.isfinite(carried[first:last])) + first
+    for first, last in zip(starts, [*starts[1:], len(known)]):
+        hop = np.flatnonzero((ticks.mode[first:last] > GROUND) & known[first:last]) + first
         if hop.size:
             found[hop] = _hop(carried[hop], judged[hop], moves[hop], ticks.dt, usual)
     for start, end in air:
@@ -47,17 +46,19 @@ def on_ground(ticks: Ticks, air: Spans = (), air_effect: float = 0.0) -> np.ndar
     return found
 
 
-def _hop(carried: np.ndarray, judged: np.ndarray, moves: np.ndarray, dt: float, usual: float) -> np.ndarray:
-    """The same of one flight. usual: of all flights, where this one has not been judged."""
+def _hop(carried: np.ndarray, judged: np.ndarray, moves: np.ndarray, dt: float, usual: np.ndarray) -> np.ndarray:
+    """The same of one flight. carried (T, 2): thrust per load of all rotors and of the middle one; usual (2,): of all flights, where this
+    one has not been judged."""
     width = max(1, round(MEAN_S / dt))
-    mean = np.convolve(np.pad(carried, (width // 2, width - 1 - width // 2), "edge"), np.ones(width) / width, "valid")
+    padded = np.pad(carried, ((width // 2, width - 1 - width // 2), (0, 0)), "edge")
+    mean = np.stack([np.convolve(column, np.ones(width) / width, "valid") for column in padded.T], axis=1)
     near, found = np.flatnonzero(judged), np.zeros(len(carried), bool)
-    count = round(USUAL_S / dt)
-    first, last = (median(carried[near[:count]]), median(carried[near[-count:]])) if near.size else (usual, usual)
-    lifts = (mean < LIFTED * first)[: round(LIFTS_S / dt)] & ~moves[: round(LIFTS_S / dt)]
+    count, many = round(USUAL_S / dt), (round(LIFTS_S / dt), round(LANDS_S / dt))
+    first, last = (median(carried[k], axis=0) for k in (near[:count], near[-count:])) if near.size else (usual, usual)
+    lifts = ((mean < LIFTED * first).all(axis=1) & ~moves)[: many[0]]
     if lifts[0]:
         found[: (len(lifts) if lifts.all() else int(np.argmin(lifts))) + width] = True
-    lands = (mean < LANDS * last)[-round(LANDS_S / dt) :] & ~moves[-round(LANDS_S / dt) :]
+    lands = ((mean < np.array([LANDS, LIFTED]) * last).all(axis=1) & ~moves)[-many[1] :]
     share = np.cumsum(lands[::-1])[::-1] / np.arange(len(lands), 0, -1)
     begins = np.flatnonzero(lands & (share >= MOSTLY))
     if lands[-1] and begins.size:

@@ -1,0 +1,188 @@
+"""Losses compared with their rivals: made-up quadrotors whose truth is known, and the laws of the comparison."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes
+from rotorwatch.engine.bindings.explaining import Explanation, compare, lagged, span
+from rotorwatch.engine.bindings.program import estimate
+from rotorwatch.engine.motion.ground_contact import on_ground
+from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.flight import Flight
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import EVIDENCE, LOSS
+from rotorwatch.witnesses import rivals
+from rotorwatch.witnesses.witness import View
+
+DT, ONSET_S, SECONDS = 0.05, 25.0, 60.0
+QUAD = airframes.named("ardupilot-quad-x").effectiveness()
+WIND = np.array([0.35, 0.2, 0.0, 0.0])  # hover thrusts of one rotor, about roll and pitch: no rotor's direction
+
+
+def ramp(time, start, end):
+    """0 before start, 1 after end."""
+    return np.clip((time - start) / (end - start), 0.0, 1.0)
+
+
+def flight(loss=0.0, rotor=0, end=np.inf, late_s=0.0, trim=None, seed=0):
+    """Ticks of a quadrotor whose commands follow gusts. rotor loses `loss` from ONSET_S to end, or lags late_s s behind its commands from
+    ONSET_S on; trim(time): (T, 4) wrench that something else takes."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(HOVER_LEARN_S, SECONDS, DT) + DT
+    count = len(time)
+    gusts = np.zeros((count, 4))
+    for k in range(1, count):
+        gusts[k] = 0.9 * gusts[k - 1] + rng.normal(0.0, 1.0, 4) * np.array([0.03, 0.03, 0.01, 0.02])
+    needed = np.array([0.0, 0.0, 0.0, 4.0]) + gusts + (0.0 if trim is None else trim(time))
+    thrust = needed @ np.linalg.inv(QUAD).T
+    weak = (time > ONSET_S) & (time <= end)
+    thrust[weak, rotor] /= 1.0 - loss
+    gives = thrust @ QUAD.T
+    gives[weak] -= np.outer(thrust[weak, rotor] * loss, QUAD[:, rotor])
+    if late_s:
+        given = thrust[:, rotor].copy()
+        for k in range(1, count):
+            given[k] = given[k - 1] + (1.0 - np.exp(-DT / late_s)) * (thrust[k, rotor] - given[k - 1]) if weak[k] else given[k]
+        gives -= np.outer(thrust[:, rotor] - given, QUAD[:, rotor])
+    turns = (gives - needed)[:, :3] / np.array([0.02, 0.02, 0.5]) + rng.normal(0.0, 0.05, (count, 3))
+    return Ticks(
+        time, time - 0.5 * DT, thrust, thrust @ QUAD.T, np.zeros((count, 3)), turns, 1.0 + rng.normal(0.0, 0.005, count),
+        np.ones((count, 4), bool), np.where(time >= READY_S, JUDGE, LEARN).astype(np.int32), np.arange(count) == 0, np.full(count, 0.4), DT,
+        np.zeros(count, bool),
+    )  # fmt: skip
+
+
+def claim(rotor=1, onset=ONSET_S, end=None, kind=LOSS):
+    return Event(kind, (rotor,), onset, onset + 1.0, end, (0.2,), ((0.1, 0.3),), 0.99)
+
+
+def view(ticks, claims=()):
+    learned, out = estimate(ticks, QUAD)
+    air = ((float(ticks.time[0]), float(ticks.time[-1])),)
+    made = View(Flight("test", "ArduPilot", {}, SECONDS), airframes.named("ardupilot-quad-x"), air, (ticks,), QUAD, out, learned=learned)
+    made.open = tuple(claims)
+    return made
+
+
+def heard(ticks, events, claims=()):
+    """(events, open claims, warnings) after the comparison."""
+    seen = view(ticks, claims)
+    kept = rivals.WITNESSES[0].hear(seen, tuple(events))
+    return kept, seen.open, seen.warnings
+
+
+@pytest.mark.parametrize(("rotor", "loss"), [(0, 0.15), (2, 0.3), (3, 0.6)])
+def test_a_loss_is_confirmed_with_its_rotor(rotor, loss):
+    (event,), open_, warnings = heard(flight(loss, rotor), [claim(rotor + 1)])
+    assert event.rotors == (rotor + 1,) and not event.alternatives and not open_ and not warnings
+
+
+@pytest.mark.parametrize(
+    "trim",
+    [
+        None,
+        lambda time: np.outer(time > ONSET_S, WIND),
+        lambda time: np.outer(ramp(time, ONSET_S, ONSET_S + 15.0), WIND),
+        lambda time: np.outer((time > ONSET_S) & (time < ONSET_S + 2.0), 6.0 * WIND) * np.sin(9.0 * time)[:, None],
+    ],
+    ids=["nothing", "wind", "moving centre of mass", "two seconds of contact"],
+)
+def test_what_the_motion_denies_is_no_event(trim):
+    kept, open_, warnings = heard(flight(trim=trim), [claim(2)])
+    assert not kept and not open_
+    assert len(warnings) == 1 and "rotor 2" in warnings[0] and "25.0 s" in warnings[0]
+
+
+def test_the_wrong_rotor_is_not_left_alone():
+    kept, _, _ = heard(flight(0.3, rotor=0), [claim(3)])
+    assert not kept or all((1,) in e.alternatives for e in kept)
+
+
+def test_a_slow_motor_elsewhere_is_no_loss_here():
+    found = rivals.weigh(view(flight(late_s=0.15, rotor=1)), claim(1), ())
+    assert found is not None and found.none > 0.9
+
+
+def test_a_loss_that_is_said_to_be_over_lasts():
+    first, second = claim(1, end=ONSET_S + 10.0), claim(1, ONSET_S + 12.0)
+    (event,), _, _ = heard(flight(0.3), [first, second])
+    assert event.end_s is None and event.onset_s == ONSET_S
+
+
+def test_a_loss_that_is_over_stays_over():
+    end = ONSET_S + 10.0
+    (event,), _, _ = heard(flight(0.3, end=end), [claim(1, end=end)])
+    assert event.end_s == end
+
+
+def test_an_open_claim_becomes_an_event_or_goes():
+    kept, open_, _ = heard(flight(0.2), (), [claim(1, kind=EVIDENCE)])
+    assert [(e.kind, e.rotors) for e in kept] == [(LOSS, (1,))] and not open_
+    assert kept[0].interval[0][0] <= 0.2 <= kept[0].interval[0][1] and kept[0].extra["live"] is False
+    assert heard(flight(trim=lambda time: np.outer(time > ONSET_S, WIND)), (), [claim(1, kind=EVIDENCE)])[:2] == ((), ())
+
+
+def test_too_little_motion_decides_nothing():
+    late = claim(1, SECONDS - 2.0)
+    assert heard(flight(), [late])[0] == (late,)
+
+
+def test_explanations_are_alike_until_the_onset_and_independent_of_their_order():
+    ticks = flight(0.3)
+    learned, _ = estimate(ticks, QUAD)
+    where = span(ticks, QUAD, learned, ONSET_S, 10.0, ONSET_S + 10.0, np.zeros_like(ticks.thrust))
+    them = [Explanation((0,)), Explanation(), Explanation((1,)), Explanation(step=1.0), Explanation((2,)), Explanation(force=3.0)]
+    fits = compare(where, them)
+    again = compare(where, [them[0], *them[:0:-1]])
+    assert [f.log_p for f in fits[1:]] == [f.log_p for f in again[:0:-1]]
+    none = compare(replace(where, onset=len(where.ticks.time)), them)
+    assert {f.log_p for f in none} == {0.0}
+    assert fits[0].log_p == max(f.log_p for f in fits) and fits[0].loss[0] == pytest.approx(0.3, abs=0.03)
+    assert fits[0].square == pytest.approx(1.0, abs=0.6)
+
+
+def test_losses_that_are_no_question_are_taken_out():
+    ticks = flight(0.3)
+    learned, _ = estimate(ticks, QUAD)
+    known = np.zeros_like(ticks.thrust)
+    known[ticks.time > ONSET_S, 0] = 0.3
+    where = span(ticks, QUAD, learned, ONSET_S, 10.0, ONSET_S + 10.0, known)
+    loss, none = compare(where, [Explanation((0,)), Explanation()])
+    assert none.log_p > loss.log_p - 1.0 and abs(loss.loss[0]) < 0.03
+
+
+def test_a_lag_delays_commands_and_keeps_their_mean():
+    ticks = flight()
+    slow = lagged(ticks, QUAD, 0.1)
+    assert slow.thrust.mean() == pytest.approx(ticks.thrust.mean(), abs=1e-3)
+    assert np.ptp(slow.thrust) < np.ptp(ticks.thrust)
+    assert slow.wrench == pytest.approx(slow.thrust @ QUAD.T)
+
+
+def grounded(carried, loss=0.0, axial=None):
+    """The spans [s] in which the ground carries a part, where the rotors' commands are `carried`(time) of those in flight."""
+    ticks = flight(loss)
+    thrust = ticks.thrust * carried(ticks.time)[:, None]
+    ticks = replace(ticks, thrust=thrust, axial=None if axial is None else axial(ticks.time))
+    found = on_ground(ticks)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], found, [False]]).astype(int)))
+    return [(float(ticks.time[a]), float(ticks.time[b - 1])) for a, b in zip(edges[::2], edges[1::2])]
+
+
+def test_the_ground_carries_at_the_begin_and_the_end_only():
+    lifts = lambda time: np.minimum(0.5 + 0.1 * time, 1.0)  # noqa: E731
+    lands = lambda time: np.where(time > 55.0, 0.7, 1.0)  # noqa: E731
+    dips = lambda time: np.where((time > 30.0) & (time < 34.0), 0.7, 1.0)  # noqa: E731
+    ((start, end),) = grounded(lifts)
+    assert start < 1.2 and end == pytest.approx(5.0, abs=0.8)
+    ((start, end),) = grounded(lands)
+    assert start == pytest.approx(54.2, abs=0.4) and end > 59.9
+    assert grounded(dips) == grounded(np.ones_like) == []
+
+
+def test_the_ground_does_not_move_and_a_weak_rotor_is_not_the_ground():
+    lands = lambda time: np.where(time > 55.0, 0.7, 1.0)  # noqa: E731
+    assert grounded(lands, axial=lambda time: np.full_like(time, -1.5)) == []
+    assert grounded(np.ones_like, loss=0.6) == []
