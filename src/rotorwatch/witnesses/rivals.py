@@ -29,25 +29,26 @@ from rotorwatch.flight.kinds import EVIDENCE, LOSS
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 SOURCE = Source("rivals", 3)
-BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection; after the end
+BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S = 3.0  # of motion after the onset
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 SURE, CREDIBLE = 0.99, 0.05  # probabilities from which an open claim becomes an event, and below which it is dropped
+CERTAIN = 1.0 - 1e-8  # the noise that a flight has taught holds its slow changes, so that the motion says little of a loss that grows
 # Log weights, relative to a loss of one particular rotor.
-NOTHING, STEP, BURST, BESIDE, PAIR, STUCK, SLOW = 3.0, 2.0, 2.0, -2.0, -2.3, -2.3, -1.0
-BURSTS = (
-    (10.0, 0.3),
-    (10.0, 1.0),
-    (10.0, 3.0),
-    (3.0, 10.0),
-    (10.0, 10.0),
-    (3.0, np.inf),
-)  # factor of the disturbances, and s that it lasts
-BESIDES = ((10.0, 0.3), (10.0, 1.0), (10.0, 3.0), (3.0, np.inf))
-STEPS = (1.0, 4.0)  # in standard deviations of this flight's disturbances
-DRIFTS = (0.04, 0.12)  # of the trim in roll and pitch, hover thrusts per sqrt(s): a centre of mass that moves
+NOTHING, OTHER, BESIDE, PAIR, STUCK, SLOW = 3.0, 2.0, -2.0, -2.3, -2.3, -1.0
+# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; a free wrench, as a factor of them,
+# for so many s; and a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)],
+# and its lever in a side force.
+ELSE = (
+    *(Explanation(step=step) for step in (1.0, 4.0)),
+    *(Explanation(drift=drift, lever=lever) for drift, lever in ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0), (0.12, 14.0))),
+    *(Explanation(step=1.0, force=force, force_s=lasts)
+      for force, lasts in ((10.0, 0.3), (10.0, 1.0), (10.0, 3.0), (3.0, 10.0), (10.0, 10.0), (3.0, np.inf))),
+)  # fmt: skip
+COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
+GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
 LATES_S = (0.08, 0.2)  # of a slow motor
-LAGS_S = (0.0, 0.03, 0.06)  # of all motors, beyond the lag that the ticks assume
+LAGS_S = (0.0, 0.03, 0.06, 0.12)  # of all motors, beyond the lag that the ticks assume
 
 
 class Rival(NamedTuple):
@@ -63,18 +64,23 @@ class Rival(NamedTuple):
 
 
 def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
-    """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of."""
-    rest = [Rival(Explanation(), NOTHING), *(Rival(Explanation(step=s), STEP) for s in STEPS)]
-    rest += [Rival(Explanation(step=1.0, force=f, force_s=s), BURST) for f, s in BURSTS]
-    rest += [Rival(Explanation(drift=d), STEP) for d in DRIFTS]
+    """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of: it
+    comes first."""
+    rest = [Rival(Explanation(), NOTHING), *(Rival(e, OTHER) for e in ELSE)]
     rest += [Rival(Explanation((i,), end_s, late=late), SLOW) for i in range(n) for late in LATES_S]
     singles = [Rival(Explanation((i,), end_s)) for i in range(n) if (i,) != claim]
     if not claim:
         return [*rest, *singles]
-    own = [Rival(Explanation(claim, end_s)), Rival(Explanation(claim)), Rival(Explanation(claim, end_s, gives=2.0), STUCK)]
-    own += [Rival(Explanation(claim, end_s, step=1.0, force=f, force_s=s), BESIDE) for f, s in BESIDES]
+    own = [Rival(Explanation(claim, end_s)), Rival(Explanation(claim)), Rival(Explanation(claim, end_s, grows=GROWS), BESIDE)]
+    own += [Rival(Explanation(claim, end_s, gives=2.0), STUCK)]
     pairs = [Rival(Explanation((*claim, i), end_s), PAIR) for i in range(n) if len(claim) == 1 and i not in claim]
     return [*own, *rest, *singles, *pairs]
+
+
+def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
+    """The loss together with the likeliest of what else moves the vehicle."""
+    others = sorted((k for k, r in enumerate(them) if r.how in ELSE), key=lambda k: -logs[k])
+    return [Rival(them[k].how._replace(rotors=claim, end_s=end_s), BESIDE) for k in others[:COMPANIONS]]
 
 
 class Weighed(NamedTuple):
@@ -96,7 +102,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     assert table is not None and learned is not None
     claim = tuple(r - 1 for r in event.rotors) if named else ()
     end_s = np.inf if event.end_s is None or not named else event.end_s
-    begun = event.detected_s if named else event.onset_s
+    begun = event.extra.get("grew_until_s", event.detected_s) if named else event.onset_s
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others])
     where = span(table, B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
@@ -106,6 +112,11 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     them = rivals(B.shape[1], claim, end_s)
     fits = compare(where, [r.how for r in them])
     logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
+    if claim:
+        more = beside(claim, end_s, them, logs)
+        fits += compare(where, [them[0].how, *(r.how for r in more)])[1:]
+        them += more
+        logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
     share = np.exp(logs - logs.max())
     share /= share.sum()
     weak = [tuple(sorted(i for i in r.weak if f.loss[i] > 0.0)) for f, r in zip(fits, them)]
@@ -159,7 +170,7 @@ def _hear(view: View, events: Events) -> Events:
         found = None if e.kind != LOSS or near_fall else weigh(view, e, events)
         if found is None:
             kept.append(e)
-        elif found.none > 0.5:
+        elif found.none > (CERTAIN if "grew_until_s" in e.extra else 0.5):
             view.warnings.append(_warning(e))
         elif found.none > 1.0 / (1.0 + CLEAR):
             until = e.detected_s if e.end_s is None else e.end_s

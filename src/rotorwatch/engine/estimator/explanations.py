@@ -14,13 +14,14 @@ what came before: where it does not, a free wrench, alone or beside the loss, ha
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, exp, local, log
+from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.batch import take
 from rotorwatch.engine.estimator.estimator import Estimator
 from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, entry, set_plant
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL, THETA, YAW, Inputs, Plant, entry, set_plant
 from rotorwatch.engine.intake.ticks import JUDGE
 
 WIDTH = 0.5  # standard deviation of a loss before the data
@@ -31,11 +32,14 @@ class Explanation(Struct):
 
     rotors: int = 0  # set of those that lose thrust
     end: int = 0  # tick at which they have it again
+    grows: Real = 0.0  # walk of the loss, 1 per sqrt(s)
     late: Real = 0.0  # s by which their thrust lags behind the command, instead of a loss; 0: they lose thrust
     gives: Real = 0.0  # standard deviation of the thrust that they give whatever they are commanded, hover thrusts; 0: they follow
     step = array(REAL, 4)  # standard deviation of a step of the trim, hover thrusts
     force: Real = 1.0  # factor of the disturbances
-    drift: Real = 0.0  # of the trim in roll and pitch, as a centre of mass that moves causes, hover thrusts per sqrt(s)
+    drift: Real = 0.0  # of the trim in roll and pitch by a centre of mass that moves, hover thrusts per sqrt(s)
+    lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
+    moved = array(REAL, 2)  # trim of roll and pitch at the onset
     calm: int = 0  # tick at which it ends
     fit: Real = 0.0  # log p
     square = array(REAL, 4)  # mean square of the normalised innovations from the onset on
@@ -78,6 +82,10 @@ def explain(
                 e.branches.all[k].open(p)
             _change(p, e.branches.all[k], them[k], t, onset)
             e.branches.all[k].predict(p, e.noise, 1.0, True)
+            if t >= onset and t < them[k].end and them[k].grows > 0.0:
+                for i in range(n):
+                    if (them[k].rotors & (1 << i)) != 0:
+                        e.branches.all[k].P[entry(THETA + i, THETA + i)] += them[k].grows * them[k].grows * p.dt
             if t >= onset and t < them[k].calm:
                 _stir(p, e.branches.all[k], e.noise, them[k].force * them[k].force - 1.0, them[k].drift)
         e.look(p, now, True, True)
@@ -88,6 +96,8 @@ def explain(
             for a in range(4):
                 e.measured.y[a] = wrench[a]
             _lag(p, them[k], now, t >= onset, e.measured)
+            if t >= onset and them[k].lever > 0.0:
+                _lever(one, them[k], now, e.measured)
             one.update(p, e.rows, e.measured, e.seen.gain_share)
             if t >= onset:
                 for a in range(4):
@@ -107,6 +117,9 @@ def explain(
 def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None:
     """Apply what begins or ends at tick t."""
     begins = t == onset
+    if begins:
+        how.moved[0] = one.s[ROLL * PER_AXIS + B3]
+        how.moved[1] = one.s[PITCH * PER_AXIS + B3]
     ends = t == how.end and t > onset
     if ends:
         _read(p, one, how)
@@ -142,6 +155,14 @@ def _lag(p: Plant, how: Explanation, now: Inputs, lags: bool, m: Measured) -> No
         for a in range(4):
             if m.counts[a]:
                 m.y[a] -= p.effect[a][i] * (now.thrust[i] - how.thrust[i])
+
+
+def _lever(one: Branch, how: Explanation, now: Inputs, m: Measured) -> None:
+    """Take off the yaw by the side force f [m/s^2] that acts off the moved centre of mass: lever (b_pitch f_right + b_roll f_forward) / g,
+    with the changes b of the commanded roll and pitch since the onset."""
+    of_roll = one.s[ROLL * PER_AXIS + B3] - how.moved[0]
+    of_pitch = one.s[PITCH * PER_AXIS + B3] - how.moved[1]
+    m.y[YAW] -= how.lever * (of_pitch * now.right + of_roll * now.forward) / G0
 
 
 def _read(p: Plant, one: Branch, how: Explanation) -> None:
