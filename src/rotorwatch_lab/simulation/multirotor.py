@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch_lab.simulation import control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
+from rotorwatch_lab.simulation import attached, control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
 from rotorwatch_lab.simulation.loop import Moment, State
 from rotorwatch_lab.simulation.rigid import Air, Body
 from rotorwatch_lab.simulation.sensors import Sensors
@@ -90,6 +90,9 @@ class Multirotor:
         zero, one = jnp.zeros((), kind), jnp.ones((), kind)
         none, rotors = jnp.zeros(3, kind), jnp.zeros(n, kind)
         body = Body(jnp.stack([zero, zero, zero + 0.01]), none, rotation.heading(plan.way.yaw).astype(kind), none)
+        extra = plan.craft.extra
+        if extra:
+            body = attached.standing(extra, plan.craft.mount, body)
         accel = jnp.stack([zero, zero, zero - G0])
         return body, accel, Drives(rotors, rotors, zero, one, one, rotors, rotors, incremental.rest(n, kind))
 
@@ -110,6 +113,8 @@ class Multirotor:
         pilot = plan.pilot
         # Near the ground the air is slow: a logarithmic profile in short.
         near = jnp.clip(-state.body.p[2] / 2.0, 0.1, 1.0)
+        if plan.outside.changes:
+            near = 1.0 - plan.outside.changes.falls * (1.0 - near)
         air = Air(blowing * near, turning * near, jnp.ones_like(near))
         lift = reference.lift * state.flies
         target, integral = control.outer(pilot, reference._replace(lift=lift), state.body, state.integral, dt)
@@ -143,7 +148,8 @@ class Multirotor:
         share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(remaining)
         share = jnp.minimum(share, jnp.sqrt(faults.ceiling(plan.faults, s)))
         slower = faults.summed(plan.faults, plan.faults.slower * s)
-        lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
+        own_lag = outside.lag(plan.outside, craft.lag, drives.w, share) if plan.outside.changes else craft.lag
+        lag = own_lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
         body, w, force = self.moved(plan._replace(craft=craft), body, drives.w, share, lag, now.air, theta, dt)
         phase = drives.phase + 0.5 * (drives.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
@@ -182,11 +188,12 @@ class Multirotor:
         sag = volts / battery.full
         believed = sag + (drives.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
         R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
-        flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
+        lies = body.p[2] > (attached.lying(plan.craft.extra) if plan.craft.extra else 0.0)
+        flies = jnp.where(lies & (R22 < CRASH_COS), 0.0, before.flies)
         drawn = motor.current(battery.current / drives.w.shape[0], drives.w, propeller, friction, sag, driven)
         drives = drives._replace(drawn=drives.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
-            **seen, **body._asdict(), demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
+            **seen, p=body.p, v=body.v, q=body.q, omega=body.omega, demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
             w=drives.w, phase=drives.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * drives.w * drives.w,
             theta=theta, volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip
