@@ -1,4 +1,4 @@
-"""What touches a vehicle besides the air: legs on the ground, a load on a line, a tether. Structurally absent where a scenario asks for none.
+"""What touches a vehicle besides the air: legs on the ground, a load on a line, a tether. Absent from a program without them.
 
 Points are fixed to the frame, r from the centre of mass; P = p + R r is where one is (NED), V = v + R (omega x r) how fast.
 
@@ -37,15 +37,16 @@ class Extra(
 ):
     """Numbers of one vehicle. P contact points.
 
-    points (P, 3) frame axes [m]; stands (P,): 1 where there is one; stiff (P,) [N/m], damp (P,) [N s/m] down, grip, grip_damp (P,) along the
-    ground; friction: mu; floor: z of the ground [m]; drag_at (3,): where body drag acts; twist (3,): torque from outside, frame axes [N m];
-    hook (3,): where line and tether begin. load [kg], line [m], line_stiff [N/m], line_damp [N s/m], load_drag [N s^2/m^2]; tether [m],
-    anchor (3,) NED, tether_stiff, tether_damp.
+    points (P, 3) frame axes [m]; stands (P,): 1 where there is one; stiff (P,) [N/m], damp (P,) [N s/m] down, grip, grip_damp (P,)
+    along the ground; friction: mu; floor: z of the ground [m]; drag_at (3,): where body drag acts; twist (3,): torque from outside,
+    frame axes [N m]; hook (3,): where line and tether begin. load [kg], line [m], line_stiff [N/m], line_damp [N s/m],
+    load_drag [N s^2/m^2]; tether [m], anchor (3,) NED, tether_stiff, tether_damp.
     """
 
 
 class Attached(namedtuple("Attached", "p v q omega load_p load_v grip")):
-    """A `rigid.Body` and what is attached: load_p [m], load_v [m/s] (3,) NED; grip (P, 2): north, east where each point holds the ground."""
+    """A `rigid.Body` and what is attached. load_p [m], load_v [m/s] (3,) NED; grip (P, 2): north, east where each point holds the
+    ground."""
 
 
 def standing(extra: Extra, mount, body) -> Attached:

@@ -14,8 +14,8 @@ With a_i = R'(v - wind) + (omega - gust rates) x r_i, the air's velocity past ro
     h = -sum s_i I_r W w_i e_z: the rotors' own angular momentum
 
 Near ground a rotor of radius b at height z is stronger by E = 1 / (1 - (b / 4 z)^2) (Cheeseman and Bennett 1955). The
-ground itself is a spring and a damper under level feet; legs, a load on a line and a tether are in `attached`. All of this is in the axes of the frame; body axes are those of the
-autopilot's board, which may be turned against it (`mount`).
+ground itself is a spring and a damper under level feet; legs, a load on a line and a tether are in `attached`. All of this is
+in the axes of the frame; body axes are those of the autopilot's board, which may be turned against it (`mount`).
 """
 
 from __future__ import annotations

@@ -118,6 +118,11 @@ class Multirotor:
         air = Air(blowing * near, turning * near, jnp.ones_like(near))
         lift = reference.lift * state.flies
         target, integral = control.outer(pilot, reference._replace(lift=lift), state.body, state.integral, dt)
+        if not isinstance(reference.level, tuple):  # on the ground it lies level, and pushes less and less
+            grounded = reference.level > 0.0
+            q = jnp.where(grounded, rotation.heading(reference.yaw), target.q)
+            target = target._replace(q=q, throttle=target.throttle * (1.0 - 0.9 * reference.level))
+            integral = jnp.where(grounded, 0.0, integral)
         compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
         return Moment(target, air, supply), integral
@@ -169,7 +174,13 @@ class Multirotor:
 
     def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, drives: Any) -> tuple:
         """Thrust demands (n,) of control `turning` (3,), and whether all of it was granted (1 or 0)."""
-        return control.mix(plan.pilot.mixer, turning, now.target.throttle)
+        pilot, throttle = plan.pilot, now.target.throttle
+        usual = control.mix(pilot.mixer, turning, throttle)
+        if isinstance(pilot.sequential, tuple):
+            return usual
+        other = control.mix_sequential(pilot.mixer, turning, throttle)
+        where = load_jax().numpy.where
+        return tuple(where(pilot.sequential > 0.5, a, b) for a, b in zip(other, usual, strict=True))
 
     def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
         """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Overridden by other models of the
@@ -193,7 +204,8 @@ class Multirotor:
         drawn = motor.current(battery.current / drives.w.shape[0], drives.w, propeller, friction, sag, driven)
         drives = drives._replace(drawn=drives.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
-            **seen, p=body.p, v=body.v, q=body.q, omega=body.omega, demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
+            **seen, p=body.p, v=body.v, q=body.q, omega=body.omega, demand=demand, command=command,
+            control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
             w=drives.w, phase=drives.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * drives.w * drives.w,
             theta=theta, volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip

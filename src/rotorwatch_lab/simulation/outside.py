@@ -14,9 +14,9 @@ STIR_HZ = 8.0  # corner of a rotor's own noise in stirred air: eddies of a rotor
 
 
 class Changes(namedtuple("Changes", "push_ramp twist shift shift_onset shift_ramp lag_down falls")):
-    """What else may change. push_ramp [s]: the push grows over it, and with it the torque twist (3,) in frame axes [N m]; shift (3,): way of
-    the centre of mass in the frame [m], from shift_onset over shift_ramp [s]; lag_down: a rotor's time constant of slowing down over that
-    of speeding up; falls: 1 where the wind is slower near the ground, else 0."""
+    """What else may change. push_ramp [s]: the push grows over it, and with it the torque twist (3,) in frame axes [N m]; shift (3,):
+    way of the centre of mass in the frame [m], from shift_onset over shift_ramp [s]; lag_down: a rotor's time constant of slowing down
+    over that of speeding up; falls: 1 where the wind is slower near the ground, else 0."""
 
 
 class Outside(namedtuple("Outside", "push height onset end wash induced steps lighter drops changes", defaults=[()])):

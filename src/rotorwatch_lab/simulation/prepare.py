@@ -136,7 +136,8 @@ class Bare(NamedTuple):
 
 BEYOND = {
     "airframe": ("lag_down", "drag_at_m", "shift_m", "legs", "slung_kg"),
-    "trajectory": ("slow_m", "drift_m_s", "cut_s", "hops"),
+    "trajectory": ("slow_m", "drift_m_s", "cut_s", "hops", "levels_s"),
+    "": ("desaturation",),
     "wind": ("falls",),
     "outside": ("push_ramp_s", "push_down_m_s2", "twist_rad_s2", "tether_m"),
 }
@@ -145,7 +146,8 @@ BEYOND = {
 
 def beyond(scenario: Scenario) -> bool:
     """True if a scenario asks for legs, lines, hops or anything else in BEYOND."""
-    return any(getattr(scenario, part)[name] != FIELDS[part][name].default for part, names in BEYOND.items() for name in names)
+    own = {"": vars(scenario), **{part: getattr(scenario, part) for part in BEYOND if part}}
+    return any(own[part][name] != FIELDS[part][name].default for part, names in BEYOND.items() for name in names)
 
 
 def plan(scenario: Scenario, more: bool = False) -> Plan:
@@ -157,7 +159,7 @@ def plan(scenario: Scenario, more: bool = False) -> Plan:
     more = beyond(scenario) or more
     return Plan(
         craft=_craft(scenario, bare, full_speed, more),
-        pilot=_pilot(scenario, known, bare, full_speed),
+        pilot=_pilot(scenario, known, bare, full_speed, more),
         way=_up_and_down(scenario, more),
         wind=air(scenario, bare.arm),
         faults=broken(scenario, len(bare.x)),
@@ -211,7 +213,7 @@ def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
     return Bare(x, y, spin, thrust_max, mass, _inertia(a, known, mass, arm), arm, radius, drag_ratio, hover)
 
 
-def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) -> control.Autopilot:
+def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float, more: bool) -> control.Autopilot:
     """An autopilot tuned for the vehicle without payload, with the thrust curve that it assumes. full_speed [rad/s] of the rotors."""
     a, mixer = scenario.airframe, known.mixer
     assert mixer is not None
@@ -229,7 +231,8 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
     momentum = _rotor_inertia(scenario, bare) * full_speed / (2.0 * np.sqrt(bare.hover))
     lead = momentum / (bare.drag_ratio * bare.thrust_max.mean())
     about = (mixer, B_tau, np.diag(bare.J), bare.thrust_max, 3.0 * pilot.attitude, lead, a["lag_s"])
-    return pilot._replace(inversion=incremental.tune(scenario.control == "indi", *about))
+    sequential = np.array(float(scenario.autopilot == "px4" and scenario.desaturation == "sequential")) if more else ()
+    return pilot._replace(inversion=incremental.tune(scenario.control == "indi", *about), sequential=sequential)
 
 
 def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
@@ -414,8 +417,9 @@ def _up_and_down(scenario: Scenario, more: bool) -> trajectories.Trajectory:
     if not more:
         return made
     to, hops = np.radians(w["drift_to_deg"]), w["hops"]
+    levels = faults.NEVER if w["levels_s"] is None else w["levels_s"]
     drift = w["drift_m_s"] * np.array([np.cos(to), np.sin(to)])
-    numbers = (w["slow_m"], slow_speed, drift, w["cut_s"], hops, w["hop_m"], w["hop_s"], w["hop_rest_s"])
+    numbers = (w["slow_m"], slow_speed, drift, w["cut_s"], hops, w["hop_m"], w["hop_s"], w["hop_rest_s"], levels)
     return made._replace(approach=trajectories.Approach(*(np.array(v, float) for v in numbers)))
 
 

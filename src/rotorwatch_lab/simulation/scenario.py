@@ -40,6 +40,7 @@ from rotorwatch_lab.simulation import faults, trajectories
 MAX_BYTES = 1_000_000
 AUTOPILOTS = ("ardupilot", "px4")
 CONTROLS = ("pid", "indi")
+DESATURATIONS = ("throttle", "sequential")
 PROFILES = ("default", "fast", "full")
 ACTUATORS = ("collective", "tail", "longitudinal", "lateral")
 RECORD_HZ = {
@@ -62,7 +63,8 @@ class Field(NamedTuple):
 
 
 CHOICES = {
-    "autopilot": AUTOPILOTS, "control": CONTROLS, "trajectory.kind": trajectories.KINDS, "logging.profile": PROFILES,
+    "autopilot": AUTOPILOTS, "control": CONTROLS, "desaturation": DESATURATIONS,
+    "trajectory.kind": trajectories.KINDS, "logging.profile": PROFILES,
     "faults.kind": faults.KINDS, "faults.actuator": ACTUATORS,
 }  # fmt: skip
 """Of the fields that take one of some names."""
@@ -117,6 +119,7 @@ class Scenario:
     seed: int
     autopilot: str
     control: str
+    desaturation: str
     rate_hz: float
     airframe: Mapping[str, Any]
     trajectory: Mapping[str, Any]

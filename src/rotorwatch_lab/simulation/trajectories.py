@@ -20,13 +20,15 @@ LEVEL = 1.5  # m/s on average, from where a climb was to the working height
 HOVER_FIRST = 2.0  # s of hover after the climb
 HOLD = 4.0  # s between yaw steps
 CUT = 2.0  # s from touchdown until the motors stop
+LEVELLED = 1.0
 UNDER = 0.5  # m below the ground: how far down the setpoint goes
 
 
-class Approach(namedtuple("Approach", "slow slow_speed drift cut hops hop hop_time hop_rest")):
+class Approach(namedtuple("Approach", "slow slow_speed drift cut hops hop hop_time hop_rest levels")):
     """How the ground is met. slow [m]: below it the way down is at slow_speed [m/s]; drift (2,): velocity north, east of the setpoint
     meanwhile [m/s]; cut [s]: from touchdown to the motors' stop; hops: short flights before the long one, hop [m] high, of hop_time [s]
-    of hover and with hop_rest [s] on the ground with idle motors after each."""
+    of hover and with hop_rest [s] on the ground with idle motors after each; levels [s]: from touchdown until the autopilot notices, and
+    asks for a level attitude and, within LEVELLED s, a tenth of the thrust."""
 
 
 class Trajectory(
@@ -38,9 +40,9 @@ class Trajectory(
     `Approach`, or nothing; with hops take_off is when the first one begins."""
 
 
-class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift stir", defaults=[()])):
+class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift stir level", defaults=[(), ()])):
     """p, v, a (3,) NED; yaw, yaw_rate; lift: 0 while the motors idle, rising to 1 as they spool up; stir: nothing asked for, but noise that
-    the aircraft meets (`outside`)."""
+    the aircraft meets (`outside`); level: 0, on the ground rising to 1 as the autopilot knows that it is there."""
 
 
 def smooth(s):
@@ -93,15 +95,18 @@ def table(way: Trajectory, ticks: int, dt: float) -> Reference:
     pose = jax.vmap(_path, in_axes=(None, 0))(way, t)
     speed = (pose[2:] - pose[:-2]) / (2.0 * dt)
     bend = (pose[2:, :3] - 2.0 * pose[1:-1, :3] + pose[:-2, :3]) / (dt * dt)
-    begin = last_take_off(way)
+    begin, level = last_take_off(way), ()
     lift = jnp.clip((t[1:-1] - begin) / way.spool, 0.0, 1.0)
     if way.approach:
         period, _, _, cut = hop_times(way)
         here = jnp.mod(t[1:-1] - way.take_off, period)
         hopping = jnp.where(here < cut, jnp.clip(here / way.spool, 0.0, 1.0), 0.0)
-        lift = jnp.where((t[1:-1] >= way.take_off) & (t[1:-1] < begin), hopping, lift)
+        in_hops = (t[1:-1] >= way.take_off) & (t[1:-1] < begin)
+        lift = jnp.where(in_hops, hopping, lift)
+        known = jnp.where(in_hops, here - cut, t[1:-1] - touch_down(way) + way.rest) + way.approach.cut - way.approach.levels
+        level = jnp.clip(known / LEVELLED, 0.0, 1.0)
     lift = jnp.where(t[1:-1] > touch_down(way), 0.0, lift)
-    return Reference(pose[1:-1, :3], speed[:, :3], bend, pose[1:-1, 3], speed[:, 3], lift)
+    return Reference(pose[1:-1, :3], speed[:, :3], bend, pose[1:-1, 3], speed[:, 3], lift, level=level)
 
 
 def _path(way: Trajectory, t):
