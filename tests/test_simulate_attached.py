@@ -291,6 +291,22 @@ def test_sequential_desaturation_never_raises_the_throttle():
     assert low.min() == 0.0 and low.mean() < 0.1 < np.asarray(control.mix(mixer, np.array([0.4, 0.0, 0.0]), 0.05)[0]).mean()
 
 
+def test_sequential_desaturation_is_that_of_a_real_px4():
+    """Setpoints (roll, pitch, yaw, thrust) and outputs as logged by PX4 1.17 with MC_AIRMODE 0, an X quad on the ground."""
+    rows = [
+        ((-0.006, 0.075, 0.532, 0.439), (0.888, 0.772, 0.098, 0.0)),
+        ((-0.048, 0.031, -0.412, 0.403), (0.111, 0.0, 0.737, 0.762)),
+        ((0.197, -0.066, -0.131, 0.276), (0.0, 0.371, 0.459, 0.274)),
+        ((-0.099, -0.064, 0.33, 0.333), (0.575, 0.525, 0.0, 0.231)),
+        ((-0.127, -0.158, 0.168, 0.12), (0.017, 0.223, 0.0, 0.24)),
+        ((-0.113, 0.179, 0.114, 0.12), (0.24, 0.0, 0.24, 0.0)),
+    ]
+    mixer = vehicle(asked().with_autopilot("px4")).mixer
+    for setpoint, outputs in rows:
+        u, granted = control.mix_sequential(mixer, np.array(setpoint[:3]), setpoint[3])
+        assert np.asarray(u) == pytest.approx(outputs, abs=2e-3) and granted == 0.0
+
+
 # ---------------------------------------------------------------- none of it
 
 

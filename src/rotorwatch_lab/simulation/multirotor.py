@@ -121,7 +121,7 @@ class Multirotor:
         if not isinstance(reference.level, tuple):  # on the ground it lies level, and pushes less and less
             grounded = reference.level > 0.0
             q = jnp.where(grounded, rotation.heading(reference.yaw), target.q)
-            target = target._replace(q=q, throttle=target.throttle * (1.0 - 0.9 * reference.level))
+            target = target._replace(q=q, throttle=target.throttle * (1.0 - 0.75 * reference.level))
             integral = jnp.where(grounded, 0.0, integral)
         compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)

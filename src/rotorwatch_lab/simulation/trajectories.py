@@ -28,7 +28,7 @@ class Approach(namedtuple("Approach", "slow slow_speed drift cut hops hop hop_ti
     """How the ground is met. slow [m]: below it the way down is at slow_speed [m/s]; drift (2,): velocity north, east of the setpoint
     meanwhile [m/s]; cut [s]: from touchdown to the motors' stop; hops: short flights before the long one, hop [m] high, of hop_time [s]
     of hover and with hop_rest [s] on the ground with idle motors after each; levels [s]: from touchdown until the autopilot notices, and
-    asks for a level attitude and, within LEVELLED s, a tenth of the thrust."""
+    asks for a level attitude and, within LEVELLED s, a quarter of the thrust."""
 
 
 class Trajectory(
