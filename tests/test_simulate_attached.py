@@ -205,7 +205,7 @@ def test_rotors_slow_down_with_another_time_constant(ratio):
 
 def test_drag_acts_where_it_is_put_and_a_twist_turns():
     wind = STILL._replace(wind=np.array([-5.0, 0.0, 0.0]), ground=np.array(0.0))
-    rotors = dynamics.Sums(*(np.zeros(k) for k in (4, 6)), np.array(0.0), np.array(0.0), np.zeros(3))
+    rotors = dynamics.Sums(np.zeros(4), np.zeros(6), np.array(0.0), np.array(0.0), np.zeros(3))
     level = rotation.axes(np.array([1.0, 0, 0, 0]))
     flown = []
     for at in ((0.0, 0.0, 0.0), (0.0, 0.03, -0.05)):

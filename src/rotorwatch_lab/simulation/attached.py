@@ -54,7 +54,7 @@ def standing(extra: Extra, mount, body) -> Attached:
     jnp = load_jax().numpy
     place, _ = _points(body, rotation.axes(body.q), _in_body(mount, extra.points))
     load = jnp.stack([body.p[0], body.p[1], extra.floor + 0.005 + 0.0 * body.p[2]])
-    return Attached(*body, load, 0.0 * load, place[:2].T)
+    return Attached(body.p, body.v, body.q, body.omega, load, 0.0 * load, place[:2].T)
 
 
 def lying(extra: Extra):

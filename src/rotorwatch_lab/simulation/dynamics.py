@@ -78,7 +78,7 @@ def sums(craft: Craft, w, w_dot, theta) -> Sums:
     return Sums(push, flow, h, h_dot, side)
 
 
-def wrench(craft: Craft, body: Body, R, rotors: Sums, air: Air):
+def wrench(craft: Craft, body: Any, R, rotors: Sums, air: Air):
     """Force (3,) without weight and torque (3,) on the body in body axes; R: `rotation.axes` of body.q."""
     jnp = load_jax().numpy
     a = rotation.product(craft.mount, rotation.to_body(R, body.v - air.wind))
@@ -126,11 +126,12 @@ def contact(craft: Craft, body: Body, R, ground):
     return force, -stiff * (CONTACT_RATE * off_level + 2.0 * CONTACT_DAMPING * body.omega)
 
 
-def derivative(craft: Craft, body: Body, rotors: Sums, air: Air) -> tuple[Body, Array]:
+def derivative(craft: Craft, body: Any, rotors: Sums, air: Air) -> tuple[Any, Array]:
     """(d body / dt, specific force (3,) in body axes [m/s^2])."""
     jnp = load_jax().numpy
     R = rotation.axes(body.q)
     force, torque = wrench(craft, body, R, rotors, air)
+    load_v_dot: Any = ()
     if craft.extra:
         ground_force, ground_torque = attached.ground(craft.extra, craft.mount, body, R, air.ground)
         line_force, line_torque, load_v_dot = attached.lines(craft.extra, craft.mount, body, R, air)
@@ -144,13 +145,13 @@ def derivative(craft: Craft, body: Body, rotors: Sums, air: Air) -> tuple[Body, 
     turn = torque + ground_torque - rotation.cross(body.omega, L) - axis * rotors.h_dot
     omega_dot = rotation.product(craft.J_inverse, turn)
     v_dot = push + jnp.stack([zero, zero, zero + G0])
-    slope = Body(body.v, v_dot, rotation.rate(body.q, body.omega), omega_dot)
+    slope: Any = Body(body.v, v_dot, rotation.rate(body.q, body.omega), omega_dot)
     if craft.extra:
-        slope = attached.Attached(*slope, body.load_v, load_v_dot, 0.0 * body.grip)
+        slope = attached.Attached(slope.p, slope.v, slope.q, slope.omega, body.load_v, load_v_dot, 0.0 * body.grip)
     return slope, rotation.to_body(R, push)
 
 
-def step(craft: Craft, body: Body, w, w_command, lag, air: Air, theta, dt):
+def step(craft: Craft, body: Any, w, w_command, lag, air: Air, theta, dt):
     """Body, rotor speeds (n,) and mean specific force (3,) after dt: classical Runge-Kutta, rotors exact at its nodes.
 
     w_command (n,): share of full speed that each rotor is driven to; lag (n,) [s]. A craft with `extra` has an `attached.Attached` as body.

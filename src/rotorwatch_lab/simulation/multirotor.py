@@ -83,7 +83,7 @@ class Multirotor:
     noise_kind = np.float32
     made: tuple | None = ()
 
-    def start(self, plan: Plan) -> tuple[Body, Array, Drives]:
+    def start(self, plan: Plan) -> tuple[Any, Array, Drives]:
         """Standing on the ground, motors off, battery full."""
         jnp = load_jax().numpy
         n, kind = plan.craft.x.shape[0], jnp.result_type(plan.craft.x)
