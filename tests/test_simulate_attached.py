@@ -12,7 +12,7 @@ from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 from rotorwatch_lab.simulation.prepare import plan, vehicle
 
 jax = load_jax()
-G, DT = dynamics.G0, 1 / 400
+G, DT, LONGEST = dynamics.G0, 1 / 400, 3200
 BARE = {"inflow": 0.0, "rotor_drag": 0.0, "body_drag": 0.0, "ground_effect": False}
 STILL = dynamics.Air(np.zeros(3), np.zeros(3), np.array(1.0))
 
@@ -50,10 +50,10 @@ def glide(craft, body, w, push, dt):
 
 
 def moved(craft, body, seconds, w=0.0, push=(0.0, 0.0, 0.0), dt=DT):
-    """Body and specific force after every step; w: speed of all rotors, held; push (3,) or (steps, 3) NED [N]."""
-    steps = round(seconds / dt)
-    pushes = np.broadcast_to(np.array(push, float), (steps, 3))
-    return jax.tree.map(np.asarray, glide(craft, body, np.full(craft.x.shape, float(w)), pushes, dt))
+    """Body and specific force after every step; w: speed of all rotors, held; push (3,) NED [N]."""
+    pushes = np.broadcast_to(np.array(push, float), (LONGEST, 3))  # of one length: one program
+    made = glide(craft, body, np.full(craft.x.shape, float(w)), pushes, dt)
+    return jax.tree.map(lambda a: np.asarray(a)[: round(seconds / dt)], made)
 
 
 def tilt(q):

@@ -57,11 +57,11 @@ def standing(extra: Extra, mount, body) -> Attached:
     return Attached(body.p, body.v, body.q, body.omega, load, 0.0 * load, place[:2].T)
 
 
-def lying(extra: Extra):
-    """z [m] below which the centre of mass of a vehicle that lies on its side is."""
+def struck(extra: Extra, mount, body: Attached):
+    """True where a rotor's hub is in the ground: a crash."""
     jnp = load_jax().numpy
-    wide = jnp.sqrt(extra.points[:, 0] ** 2 + extra.points[:, 1] ** 2) * extra.stands
-    return extra.floor - jnp.max(wide)
+    place, _ = _points(body, rotation.axes(body.q), _in_body(mount, extra.points[LEGS:]))
+    return jnp.max(place[2]) > extra.floor
 
 
 def _points(body, R, points):

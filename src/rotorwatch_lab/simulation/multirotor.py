@@ -199,8 +199,10 @@ class Multirotor:
         sag = volts / battery.full
         believed = sag + (drives.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
         R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
-        lies = body.p[2] > (attached.lying(plan.craft.extra) if plan.craft.extra else 0.0)
-        flies = jnp.where(lies & (R22 < CRASH_COS), 0.0, before.flies)
+        crashed = (body.p[2] > 0.0) & (R22 < CRASH_COS)
+        if plan.craft.extra:
+            crashed = attached.struck(plan.craft.extra, plan.craft.mount, body)
+        flies = jnp.where(crashed, 0.0, before.flies)
         drawn = motor.current(battery.current / drives.w.shape[0], drives.w, propeller, friction, sag, driven)
         drives = drives._replace(drawn=drives.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
