@@ -57,8 +57,8 @@ def standing(extra: Extra, mount, body) -> Attached:
     return Attached(body.p, body.v, body.q, body.omega, load, 0.0 * load, place[:2].T)
 
 
-def struck(extra: Extra, mount, body: Attached):
-    """True where a rotor's hub is in the ground: a crash."""
+def struck(extra: Extra, mount, body):
+    """True where a hub of an `Attached` is in the ground: a crash."""
     jnp = load_jax().numpy
     place, _ = _points(body, rotation.axes(body.q), _in_body(mount, extra.points[LEGS:]))
     return jnp.max(place[2]) > extra.floor
