@@ -23,7 +23,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch_lab.simulation import helicopter, logbook, loop
 from rotorwatch_lab.simulation.logbook import SUFFIXES
 from rotorwatch_lab.simulation.multirotor import MULTIROTOR, Plan, Record
-from rotorwatch_lab.simulation.prepare import plan
+from rotorwatch_lab.simulation.prepare import beyond, plan
 from rotorwatch_lab.simulation.scenario import Scenario
 
 __all__ = ["SUFFIXES", "Plan", "Record", "Scenario", "Simulated", "plan", "simulate", "simulate_batch"]
@@ -85,7 +85,8 @@ def simulate_batch(scenarios: Sequence[Scenario], select: Callable = loop.everyt
             raise ConfigError("flights of one batch must have the same duration_s and rate_hz.")
         if record_hz is None and s.record_hz != hz:
             raise ConfigError("flights of one batch must be recorded alike: the same autopilot and logging.profile.")
-    return loop.fly_many(MULTIROTOR, loop.stack([plan(s) for s in scenarios]), first.duration_s, first.rate_hz, hz, select)
+    more = any(beyond(s) for s in scenarios)
+    return loop.fly_many(MULTIROTOR, loop.stack([plan(s, more) for s in scenarios]), first.duration_s, first.rate_hz, hz, select)
 
 
 def record_of(records: Any, k: int) -> Any:

@@ -26,8 +26,8 @@ class Autopilot(
     namedtuple(
         "Autopilot",
         "mixer hover position velocity velocity_i attitude rate_p rate_i rate_d speed_most climb_most tilt_most turn_most gyro_cut expo "
-        "compensates inversion",
-        defaults=[()],
+        "compensates inversion sequential",
+        defaults=[(), ()],
     )
 ):
     """mixer (n, 4); hover: throttle that carries the nominal vehicle; gains of the loops, outer to inner.
@@ -35,7 +35,7 @@ class Autopilot(
     position [1/s], velocity [1/s], velocity_i [1/s^2], attitude (3,) [1/s], rate_p (3,) [mixer units per rad/s], rate_i, rate_d;
     speed_most, climb_most [m/s], tilt_most [rad], turn_most (3,) [rad/s]; gyro_cut [rad/s] corner of the gyro filter; expo of the
     thrust curve it believes in; compensates 0 or 1: divides the battery's sag out of its commands. inversion: of `incremental`, what flies
-    instead of the rate loop's gains where it says so.
+    instead of the rate loop's gains where it says so; sequential: 1 where `mix_sequential` mixes, 0 or nothing where `mix` does.
     """
 
 
@@ -140,6 +140,37 @@ def mix(mixer, control, throttle):
     level = jnp.maximum(jnp.minimum(throttle, 1.0 - high), -low)
     granted = (scale == 1.0) & (yaw == control[2]) & (level == throttle)
     return jnp.clip(level + scale * apart, 0.0, 1.0), granted.astype(apart.dtype)
+
+
+def mix_sequential(mixer, control, throttle):
+    """The same as PX4 mixes with MC_AIRMODE 0: the throttle is only ever lowered, then roll and pitch give way, and yaw is added last.
+
+    After ControlAllocationSequentialDesaturation of PX4 1.15 (mixAirmodeDisabled): at little throttle outputs stay at 0 that `mix` would
+    raise.
+    """
+    jnp = load_jax().numpy
+
+    def gain(u, d, most):
+        safe = jnp.where(jnp.abs(d) > 1e-6, d, 1.0)
+        k = jnp.where(u < 0.0, -u / safe, jnp.where(u > most, (most - u) / safe, 0.0))
+        k = jnp.where(jnp.abs(d) > 1e-6, k, 0.0)
+        return jnp.minimum(jnp.min(k), 0.0) + jnp.maximum(jnp.max(k), 0.0)
+
+    def free(u, d, most=1.0, down_only=False):
+        first = gain(u, d, most)
+        eased = u + first * d
+        eased = eased + 0.5 * gain(eased, d, most) * d
+        return jnp.where(first > 0.0, u, eased) if down_only else eased
+
+    roll, pitch, yaw = mixer[:, 0], mixer[:, 1], mixer[:, 2]
+    up = jnp.ones_like(roll)
+    level = mixer[:, 0] * control[0] + mixer[:, 1] * control[1] + throttle
+    u = free(level, up, down_only=True)
+    u = free(free(u, roll), pitch)
+    turned = u + yaw * control[2]
+    u = free(free(turned, yaw, most=1.15), up, down_only=True)
+    granted = jnp.max(jnp.abs(u - level - yaw * control[2])) < 1e-6
+    return jnp.clip(u, 0.0, 1.0), granted.astype(u.dtype)
 
 
 def drive(expo, thrust):

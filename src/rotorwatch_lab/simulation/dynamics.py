@@ -10,12 +10,12 @@ With a_i = R'(v - wind) + (omega - gust rates) x r_i, the air's velocity past ro
     rotor drag H_i = -(1 - theta_i) k_d w_i (a_i,x, a_i,y)                       (Martin and Salaun 2010)
     torque     r_i x (H_i, -T_i) + s_i c T_max,i w_i^2 (1 - theta_i) e_z          s_i: +1 counter-clockwise from above
     a mount that leans by l_i (sine) about its arm: T_max,i w_i^2 (1 - theta_i) l_i along the circle through the hub
-    body drag  -C |a| a, C diagonal, at the centre of mass
+    body drag  -C |a| a, C diagonal, at the centre of mass, or where `extra` has it
     h = -sum s_i I_r W w_i e_z: the rotors' own angular momentum
 
 Near ground a rotor of radius b at height z is stronger by E = 1 / (1 - (b / 4 z)^2) (Cheeseman and Bennett 1955). The
-ground itself is a spring and a damper under level feet. All of this is in the axes of the frame; body axes are those of the
-autopilot's board, which may be turned against it (`mount`).
+ground itself is a spring and a damper under level feet; legs, a load on a line and a tether are in `attached`. All of this is
+in the axes of the frame; body axes are those of the autopilot's board, which may be turned against it (`mount`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch_lab.simulation import rotation
+from rotorwatch_lab.simulation import attached, rotation
 from rotorwatch_lab.simulation.rigid import Air, Body, runge_kutta
 
 Array = Any
@@ -38,7 +38,8 @@ class Craft(
     namedtuple(
         "Craft",
         "mass J J_inverse x y z spin thrust_max drag_ratio expo lag rotor_momentum k_d k_z drag radius ground_effect "
-        "lean mount push push_z",
+        "lean mount push push_z extra",
+        defaults=[()],
     )
 ):
     """The physical vehicle; n rotors. Everything SI and about the centre of mass, payload included.
@@ -47,7 +48,7 @@ class Craft(
     drag_ratio [m]; expo of the thrust curve; lag [s]; rotor_momentum: I_r W, angular momentum of one rotor at full speed;
     k_d, k_z [N s/m] at full speed; drag (3,) [N s^2/m^2]; radius [m]; ground_effect 0 or 1; lean (n,): sine of each mount's turn about its
     arm, positive where it yaws the vehicle to the right; mount (3, 3): body axes to the frame's; push (3,) NED [N] of something outside,
-    that acts at (0, 0, push_z) of the frame.
+    that acts at (0, 0, push_z) of the frame; extra: `attached.Extra`, or nothing.
     """
 
 
@@ -77,12 +78,14 @@ def sums(craft: Craft, w, w_dot, theta) -> Sums:
     return Sums(push, flow, h, h_dot, side)
 
 
-def wrench(craft: Craft, body: Body, R, rotors: Sums, air: Air):
+def wrench(craft: Craft, body: Any, R, rotors: Sums, air: Air):
     """Force (3,) without weight and torque (3,) on the body in body axes; R: `rotation.axes` of body.q."""
     jnp = load_jax().numpy
     a = rotation.product(craft.mount, rotation.to_body(R, body.v - air.wind))
     p, q, r = rotation.product(craft.mount, body.omega - air.turning)
     height = jnp.maximum(-body.p[2] - craft.z + 0.5 * craft.radius, 0.5 * craft.radius)
+    if craft.extra:  # the floor is as far below as the legs are high
+        height = jnp.maximum(craft.extra.floor - body.p[2] - craft.z, 0.5 * craft.radius)
     cushion = 1.0 + craft.ground_effect * air.ground * (1.0 / (1.0 - (0.25 * craft.radius / height) ** 2) - 1.0)
     one, x, y, xx, xy, yy = rotors.flow
     # The air past rotor i moves by (a_x - r y_i, a_y + r x_i, a_z + p y_i - q x_i).
@@ -93,9 +96,14 @@ def wrench(craft: Craft, body: Body, R, rotors: Sums, air: Air):
     Ty = cushion * rotors.push[2] + craft.k_z * (a_z * y + p * yy - q * xy)
     H_x, H_y = rotors.side[0] - craft.k_d * (a_x * one - r * y), rotors.side[1] - craft.k_d * (a_y * one + r * x)
     twist = rotors.side[2] - craft.k_d * (a_y * x + r * xx - a_x * y + r * yy)
+    if craft.extra:
+        a = a + rotation.cross(jnp.stack([p, q, r]), craft.extra.drag_at)
     speed = jnp.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
-    force = jnp.stack([H_x, H_y, -T]) - craft.drag * speed * a
+    dragged = craft.drag * speed * a
+    force = jnp.stack([H_x, H_y, -T]) - dragged
     torque = jnp.stack([-Ty - craft.z * H_y, Tx + craft.z * H_x, twist + craft.drag_ratio * rotors.push[3]])
+    if craft.extra:
+        torque = torque - rotation.cross(craft.extra.drag_at, dragged) + craft.extra.twist
     push = rotation.product(craft.mount, rotation.to_body(R, craft.push))
     lever = jnp.stack([-craft.push_z * push[1], craft.push_z * push[0], 0.0 * push[2]])
     return rotation.to_body(craft.mount, force + push), rotation.to_body(craft.mount, torque + lever)
@@ -118,12 +126,18 @@ def contact(craft: Craft, body: Body, R, ground):
     return force, -stiff * (CONTACT_RATE * off_level + 2.0 * CONTACT_DAMPING * body.omega)
 
 
-def derivative(craft: Craft, body: Body, rotors: Sums, air: Air) -> tuple[Body, Array]:
+def derivative(craft: Craft, body: Any, rotors: Sums, air: Air) -> tuple[Any, Array]:
     """(d body / dt, specific force (3,) in body axes [m/s^2])."""
     jnp = load_jax().numpy
     R = rotation.axes(body.q)
     force, torque = wrench(craft, body, R, rotors, air)
-    ground_force, ground_torque = contact(craft, body, R, air.ground)
+    load_v_dot: Any = ()
+    if craft.extra:
+        ground_force, ground_torque = attached.ground(craft.extra, craft.mount, body, R, air.ground)
+        line_force, line_torque, load_v_dot = attached.lines(craft.extra, craft.mount, body, R, air)
+        ground_force, ground_torque = ground_force + line_force, ground_torque + line_torque
+    else:
+        ground_force, ground_torque = contact(craft, body, R, air.ground)
     push = (rotation.to_world(R, force) + ground_force) / craft.mass
     zero = 0.0 * rotors.h
     axis = craft.mount[2]
@@ -131,13 +145,16 @@ def derivative(craft: Craft, body: Body, rotors: Sums, air: Air) -> tuple[Body, 
     turn = torque + ground_torque - rotation.cross(body.omega, L) - axis * rotors.h_dot
     omega_dot = rotation.product(craft.J_inverse, turn)
     v_dot = push + jnp.stack([zero, zero, zero + G0])
-    return Body(body.v, v_dot, rotation.rate(body.q, body.omega), omega_dot), rotation.to_body(R, push)
+    slope: Any = Body(body.v, v_dot, rotation.rate(body.q, body.omega), omega_dot)
+    if craft.extra:
+        slope = attached.Attached(slope.p, slope.v, slope.q, slope.omega, body.load_v, load_v_dot, 0.0 * body.grip)
+    return slope, rotation.to_body(R, push)
 
 
-def step(craft: Craft, body: Body, w, w_command, lag, air: Air, theta, dt):
+def step(craft: Craft, body: Any, w, w_command, lag, air: Air, theta, dt):
     """Body, rotor speeds (n,) and mean specific force (3,) after dt: classical Runge-Kutta, rotors exact at its nodes.
 
-    w_command (n,): share of full speed that each rotor is driven to; lag (n,) [s].
+    w_command (n,): share of full speed that each rotor is driven to; lag (n,) [s]. A craft with `extra` has an `attached.Attached` as body.
     """
     jax = load_jax()
     jnp = jax.numpy
@@ -147,4 +164,6 @@ def step(craft: Craft, body: Body, w, w_command, lag, air: Air, theta, dt):
     nodes = [sums(craft, w_command + g, -g / lag, theta) for g in gaps]
     rows = jax.tree.map(lambda a, b, c: jnp.stack([a, b, b, c]), *nodes)
     body, force = runge_kutta(lambda at, rotors: derivative(craft, at, rotors, air), body, rows, dt)
+    if craft.extra:
+        body = attached.gripped(craft.extra, craft.mount, body)
     return body, w_command + gaps[2], force

@@ -19,13 +19,14 @@ from rotorwatch.logs.series import SHAPES
 from rotorwatch_lab.simulation import escs, sensors, trajectories, truth
 from rotorwatch_lab.simulation.logged import LOGGED
 from rotorwatch_lab.simulation.multirotor import Plan, Record
-from rotorwatch_lab.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, vehicle
+from rotorwatch_lab.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, told, vehicle
 from rotorwatch_lab.simulation.scenario import Scenario
 
 RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))
 SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}
 JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
 ARMED_S = 1.0  # arming, after the log's start
+DETECTED_S = 0.5  # after a hop the autopilot says that it has landed
 IDLE = 0.1  # ArduPilot's MOT_SPIN_ARM
 MAV_TYPE = {4: 2, 6: 13, 8: 14, 12: 29, 10: 35}
 
@@ -43,6 +44,8 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     ardupilot = scenario.autopilot == "ardupilot"
     armed, disarmed = _arming(plan, record)
     lifted = (record.time > float(plan.way.take_off)) & (record.time < disarmed)
+    for begin, cut in trajectories.landings(plan.way):
+        lifted &= ~((record.time > cut) & (record.time < begin + float(trajectories.hop_times(plan.way)[0])))
     log.add("motors", "motors", _motors(craft, record, armed, disarmed, lifted, ardupilot), unit="us" if ardupilot else "1")
     log.add("control", "control", record.control)
     shaking = sensors.vibration(record.shake, 2.0 * np.pi * record.phase)
@@ -139,6 +142,9 @@ def _messages(plan: Plan, armed: float, disarmed: float, end: float, ardupilot: 
     mode = Message(0.0, "mode", "GUIDED" if ardupilot else "Offboard", 4.0 if ardupilot else 14.0)
     messages = [mode, Message(0.0, "landed", "landed", 1.0), Message(armed, "armed", "armed", 1.0)]
     messages.append(Message(float(plan.way.take_off) + 1.0, "landed", "in the air", 0.0))
+    for begin, cut in trajectories.landings(plan.way):
+        again = begin + float(trajectories.hop_times(plan.way)[0]) + 1.0
+        messages += [Message(cut + DETECTED_S, "landed", "landed", 1.0), Message(again, "landed", "in the air", 0.0)]
     if disarmed < end:
         messages += [Message(disarmed - 0.1, "landed", "landed", 1.0), Message(disarmed, "armed", "disarmed", 0.0)]
     return tuple(messages)
@@ -183,7 +189,7 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
         "IMU_GYRO_CUTOFF": scenario.sensors["gyro_filter_hz"],
         "IMU_ACCEL_CUTOFF": scenario.sensors["accel_filter_hz"],
     }
-    for k, r in enumerate(craft.rotors):
+    for k, r in enumerate(told(scenario, craft.rotors)):
         parameters |= {f"CA_ROTOR{k}_PX": r.x, f"CA_ROTOR{k}_PY": r.y, f"CA_ROTOR{k}_KM": 0.05 * r.spin, f"CA_ROTOR{k}_CT": 6.5}
     return {k: float(v) for k, v in parameters.items()}
 

@@ -236,10 +236,15 @@ def fly_each(
     `size` flights, so one program serves all numbers of flights up to that. The two differ in their last digits. Raises ConfigError."""
     jax = load_jax()
     if aircraft.made is None or compiled.engine() != "native":
-        filled = stack([*plans, *[plans[-1]] * ((size or len(plans)) - len(plans))])
-        many = jax.tree.map(np.asarray, fly_many(aircraft, filled, duration, rate_hz, record_hz, select))
-        for k in range(len(plans)):
-            yield jax.tree.map(lambda a, k=k: a[..., k], many)
+        # Plans of one structure fly together.
+        shapes = [jax.tree.structure(plan) for plan in plans]
+        made: dict[int, Any] = {}
+        for shape in dict.fromkeys(shapes):
+            alike = [k for k, other in enumerate(shapes) if other == shape]
+            filled = stack([plans[k] for k in alike] + [plans[alike[-1]]] * ((size or len(alike)) - len(alike)))
+            many = jax.tree.map(np.asarray, fly_many(aircraft, filled, duration, rate_hz, record_hz, select))
+            made |= {k: jax.tree.map(lambda a, i=i, many=many: a[..., i], many) for i, k in enumerate(alike)}
+        yield from (made[k] for k in range(len(plans)))
         return
     ticks, dt, steps = grid(duration, rate_hz, record_hz)
     kind = f"{type(aircraft).__module__}:{type(aircraft).__qualname__}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
-from rotorwatch_lab.simulation import control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
+from rotorwatch_lab.simulation import attached, control, dynamics, faults, incremental, motor, outside, rotation, trajectories, wind
 from rotorwatch_lab.simulation.loop import Moment, State
 from rotorwatch_lab.simulation.rigid import Air, Body
 from rotorwatch_lab.simulation.sensors import Sensors
@@ -83,13 +83,16 @@ class Multirotor:
     noise_kind = np.float32
     made: tuple | None = ()
 
-    def start(self, plan: Plan) -> tuple[Body, Array, Drives]:
+    def start(self, plan: Plan) -> tuple[Any, Array, Drives]:
         """Standing on the ground, motors off, battery full."""
         jnp = load_jax().numpy
         n, kind = plan.craft.x.shape[0], jnp.result_type(plan.craft.x)
         zero, one = jnp.zeros((), kind), jnp.ones((), kind)
         none, rotors = jnp.zeros(3, kind), jnp.zeros(n, kind)
         body = Body(jnp.stack([zero, zero, zero + 0.01]), none, rotation.heading(plan.way.yaw).astype(kind), none)
+        extra = plan.craft.extra
+        if extra:
+            body = attached.standing(extra, plan.craft.mount, body)
         accel = jnp.stack([zero, zero, zero - G0])
         return body, accel, Drives(rotors, rotors, zero, one, one, rotors, rotors, incremental.rest(n, kind))
 
@@ -110,9 +113,16 @@ class Multirotor:
         pilot = plan.pilot
         # Near the ground the air is slow: a logarithmic profile in short.
         near = jnp.clip(-state.body.p[2] / 2.0, 0.1, 1.0)
+        if plan.outside.changes:
+            near = 1.0 - plan.outside.changes.falls * (1.0 - near)
         air = Air(blowing * near, turning * near, jnp.ones_like(near))
         lift = reference.lift * state.flies
         target, integral = control.outer(pilot, reference._replace(lift=lift), state.body, state.integral, dt)
+        if not isinstance(reference.level, tuple):  # on the ground it lies level, and pushes less and less
+            grounded = reference.level > 0.0
+            q = jnp.where(grounded, rotation.heading(reference.yaw), target.q)
+            target = target._replace(q=q, throttle=target.throttle * (1.0 - 0.75 * reference.level))
+            integral = jnp.where(grounded, 0.0, integral)
         compensated = pilot.compensates * state.own.believed + (1.0 - pilot.compensates)
         supply = Supply(lift, compensated, dynamics.thrust_share(pilot.expo, compensated), reference.stir)
         return Moment(target, air, supply), integral
@@ -143,7 +153,8 @@ class Multirotor:
         share = jnp.where(friction > 0.0, motor.slowed(commanded, theta, friction), commanded) * jnp.sqrt(remaining)
         share = jnp.minimum(share, jnp.sqrt(faults.ceiling(plan.faults, s)))
         slower = faults.summed(plan.faults, plan.faults.slower * s)
-        lag = craft.lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
+        own_lag = outside.lag(plan.outside, craft.lag, drives.w, share) if plan.outside.changes else craft.lag
+        lag = own_lag * (1.0 + (faults.SPIN_DOWN - 1.0) * undriven + slower)
         body, w, force = self.moved(plan._replace(craft=craft), body, drives.w, share, lag, now.air, theta, dt)
         phase = drives.phase + 0.5 * (drives.w + w) * plan.sensors.full_turns * dt
         phase = phase - jnp.floor(phase)
@@ -163,7 +174,13 @@ class Multirotor:
 
     def mixed(self, plan: Plan, now: Moment, t, body: Body, gyro, turning, drives: Any) -> tuple:
         """Thrust demands (n,) of control `turning` (3,), and whether all of it was granted (1 or 0)."""
-        return control.mix(plan.pilot.mixer, turning, now.target.throttle)
+        pilot, throttle = plan.pilot, now.target.throttle
+        usual = control.mix(pilot.mixer, turning, throttle)
+        if isinstance(pilot.sequential, tuple):
+            return usual
+        other = control.mix_sequential(pilot.mixer, turning, throttle)
+        where = load_jax().numpy.where
+        return tuple(where(pilot.sequential > 0.5, a, b) for a, b in zip(other, usual, strict=True))
 
     def moved(self, plan: Plan, body: Body, w, share, lag, air: Air, theta, dt: float) -> tuple:
         """Body, rotor speeds (n,) and mean specific force (3,) after a step of dt: `dynamics.step`. Overridden by other models of the
@@ -182,11 +199,15 @@ class Multirotor:
         sag = volts / battery.full
         believed = sag + (drives.believed - sag) * math.exp(-TURN * BELIEF_HZ * dt)
         R22 = 1.0 - 2.0 * (body.q[1] ** 2 + body.q[2] ** 2)
-        flies = jnp.where((body.p[2] > 0.0) & (R22 < CRASH_COS), 0.0, before.flies)
+        crashed = (body.p[2] > 0.0) & (R22 < CRASH_COS)
+        if plan.craft.extra:
+            crashed = attached.struck(plan.craft.extra, plan.craft.mount, body)
+        flies = jnp.where(crashed, 0.0, before.flies)
         drawn = motor.current(battery.current / drives.w.shape[0], drives.w, propeller, friction, sag, driven)
         drives = drives._replace(drawn=drives.drawn + amps * dt, sag=sag, believed=believed)
         record = Record(
-            **seen, **body._asdict(), demand=demand, command=command, control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
+            **seen, p=body.p, v=body.v, q=body.q, omega=body.omega, demand=demand, command=command,
+            control=controls, rates_setpoint=wanted, q_setpoint=now.target.q,
             w=drives.w, phase=drives.phase, shake=(plan.sensors.shake + faults.imbalance(plan.faults, s)) * drives.w * drives.w,
             theta=theta, volts=volts, amps=amps, drawn=drawn, believed=believed, lift_max=now.more.lift_max, flies=flies,
         )  # fmt: skip

@@ -13,10 +13,16 @@ from rotorwatch_lab.simulation import dynamics, faults
 STIR_HZ = 8.0  # corner of a rotor's own noise in stirred air: eddies of a rotor's size at the speed of its air
 
 
-class Outside(namedtuple("Outside", "push height onset end wash induced steps lighter drops")):
+class Changes(namedtuple("Changes", "push_ramp twist shift shift_onset shift_ramp lag_down falls")):
+    """What else may change. push_ramp [s]: the push grows over it, and with it the torque twist (3,) in frame axes [N m]; shift (3,):
+    way of the centre of mass in the frame [m], from shift_onset over shift_ramp [s]; lag_down: a rotor's time constant of slowing down
+    over that of speeding up; falls: 1 where the wind is slower near the ground, else 0."""
+
+
+class Outside(namedtuple("Outside", "push height onset end wash induced steps lighter drops changes", defaults=[()])):
     """push (3,) NED [N] that acts `height` [m] above the rotors' plane between onset and end [s]; wash: noise of a rotor's thrust, share of
     it (rms), when sinking as fast as its air in hover, induced [m/s]; steps: that the outputs have from 0 to full, 0 for none; lighter:
-    `dynamics.Craft` after the time `drops` [s]."""
+    `dynamics.Craft` after the time `drops` [s]; changes: `Changes`, or nothing."""
 
 
 def stirred(seed, rotors: int, ticks: int, dt: float):
@@ -50,12 +56,31 @@ def now(craft: dynamics.Craft, outside: Outside, broken: faults.Faults, s, t, fa
     jnp = jax.numpy
     craft = jax.tree.map(lambda a, b: jnp.where(t < outside.drops, a, b), craft, outside.lighter)
     there = jnp.where((t >= outside.onset) & (t < outside.end), 1.0, 0.0)
+    if outside.changes:
+        there = there * jnp.clip((t - outside.onset) / jnp.maximum(outside.changes.push_ramp, 1e-6), 0.0, 1.0)
+        craft = shifted(craft, outside.changes, t)
+        craft = craft._replace(extra=craft.extra._replace(twist=there * outside.changes.twist))
     return craft._replace(
         thrust_max=craft.thrust_max * factors,
         lean=faults.summed(broken, broken.lean * s),
         push=there * outside.push,
         push_z=craft.z - outside.height,
     )
+
+
+def shifted(craft: dynamics.Craft, changes: Changes, t) -> dynamics.Craft:
+    """The vehicle about its centre of mass at time t [s], which moves in the frame; J stays (a few mm change it by less than 1 %)."""
+    jnp = load_jax().numpy
+    off = changes.shift * jnp.clip((t - changes.shift_onset) / jnp.maximum(changes.shift_ramp, 1e-6), 0.0, 1.0)
+    extra = craft.extra
+    moved = {"points": extra.points - off, "hook": extra.hook - off, "drag_at": extra.drag_at - off}
+    return craft._replace(x=craft.x - off[0], y=craft.y - off[1], z=craft.z - off[2], extra=extra._replace(**moved))
+
+
+def lag(outside: Outside, craft_lag, w, command):
+    """(n,) time constants [s] of rotors at speeds w (n,) driven to `command` (n,)."""
+    jnp = load_jax().numpy
+    return jnp.where(command < w, craft_lag * outside.changes.lag_down, craft_lag)
 
 
 def rounded(outside: Outside, command):

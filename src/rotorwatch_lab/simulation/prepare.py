@@ -14,15 +14,14 @@ from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.flight.vehicle import Rotor, ThrustCurve, Vehicle
-from rotorwatch_lab.simulation import control, dynamics, faults, incremental, outside, trajectories, wind
+from rotorwatch_lab.simulation import attached, control, dynamics, faults, incremental, outside, trajectories, wind
 from rotorwatch_lab.simulation.multirotor import Battery, Plan
-from rotorwatch_lab.simulation.scenario import Scenario, brief
+from rotorwatch_lab.simulation.scenario import FIELDS, Scenario, brief
 from rotorwatch_lab.simulation.sensors import Sensors
 
 AIR = 1.225  # kg/m^3
 TIP_SPEED = 170.0  # m/s
 WATT_PER_NEWTON = 12.0  # electrical, at full thrust
-HOVER_MINUTES = 12.0
 SAG = 0.07
 SAME = {"octaquad-x": "octa-coaxial", "octa-coaxial": "octaquad-x"}  # one frame, two names
 PWM = (1000.0, 2000.0)
@@ -40,7 +39,7 @@ def vehicle(scenario: Scenario) -> Vehicle:
     if known is not None:
         geometry, arm = _rotors(known), 1.0
     else:
-        geometry = _geometry(scenario.autopilot, frame)
+        geometry = _stretched(_geometry(scenario.autopilot, frame), a["length_to_width"])
         arm = a["arm_m"] / max(np.hypot(r.x, r.y) for r in geometry)
     shares = (a["lower_rotor"] if r.lower else 1.0 for r in geometry)
     rotors = tuple(Rotor(r.x * arm, r.y * arm, r.spin, share, r.lower) for r, share in zip(geometry, shares))
@@ -49,12 +48,27 @@ def vehicle(scenario: Scenario) -> Vehicle:
             raise ConfigError(f"faults[{k + 1}].rotor is {fault['rotor']}, but the frame {frame} has {len(rotors)} rotors.")
     if scenario.autopilot == "px4":
         # Demands are logged: the thrust curve is applied to them on the way to the ESC.
-        curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(rotors)
+        curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(told(scenario, rotors))
     else:
         low, high = (PWM[0] + s * (PWM[1] - PWM[0]) for s in SPIN)
         curve, name = ThrustCurve(low, high, believed), f"ardupilot-{frame}"
         mixer = px4.mix(rotors) if known is not None else _built(frame).mixer
     return Vehicle(name, rotors, curve, mixer, lag_s=a["lag_s"], source="scenario", extra={"mixer_expo": curve.expo})
+
+
+def _stretched(rotors: tuple[Rotor, ...], ratio: float) -> tuple[Rotor, ...]:
+    """Rotors of a frame that is longer (x) than wide (y) by this ratio; the same area."""
+    if ratio == 1.0:
+        return rotors
+    return tuple(replace(r, x=r.x * np.sqrt(ratio), y=r.y / np.sqrt(ratio)) for r in rotors)
+
+
+def told(scenario: Scenario, rotors: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
+    """The geometry that PX4 has in its parameters: the true one, unless the scenario has it believe in another ratio of its sides."""
+    a = scenario.airframe
+    if a["believed_length_to_width"] is None:
+        return rotors
+    return _stretched(rotors, a["believed_length_to_width"] / a["length_to_width"])
 
 
 def _paper(frame: str) -> dict | None:
@@ -120,21 +134,39 @@ class Bare(NamedTuple):
     hover: float
 
 
-def plan(scenario: Scenario) -> Plan:
-    """The scenario's numbers. Raises ConfigError for frames that do not exist or vehicles that cannot fly."""
+BEYOND = {
+    "airframe": ("lag_down", "drag_at_m", "shift_m", "legs", "slung_kg"),
+    "trajectory": ("slow_m", "drift_m_s", "cut_s", "hops", "levels_s"),
+    "": ("desaturation",),
+    "wind": ("falls",),
+    "outside": ("push_ramp_s", "push_down_m_s2", "twist_rad_s2", "tether_m"),
+}
+"""Fields whose default is that there is nothing: where all of them have it, the simulated program has no part for them."""
+
+
+def beyond(scenario: Scenario) -> bool:
+    """True if a scenario asks for legs, lines, hops or anything else in BEYOND."""
+    own = {"": vars(scenario), **{part: getattr(scenario, part) for part in BEYOND if part}}
+    return any(own[part][name] != FIELDS[part][name].default for part, names in BEYOND.items() for name in names)
+
+
+def plan(scenario: Scenario, more: bool = False) -> Plan:
+    """The scenario's numbers. more: with parts for everything in BEYOND, even where it asks for none of it: plans of one batch must be
+    alike. Raises ConfigError for frames that do not exist or vehicles that cannot fly."""
     known = vehicle(scenario)
     bare = _bare(scenario, known)
     full_speed = _full_speed(scenario, bare)
+    more = beyond(scenario) or more
     return Plan(
-        craft=_craft(scenario, bare, full_speed),
-        pilot=_pilot(scenario, known, bare, full_speed),
-        way=_up_and_down(scenario),
+        craft=_craft(scenario, bare, full_speed, more),
+        pilot=_pilot(scenario, known, bare, full_speed, more),
+        way=_up_and_down(scenario, more),
         wind=air(scenario, bare.arm),
         faults=broken(scenario, len(bare.x)),
         battery=_battery(scenario, bare.thrust_max.sum(), bare.hover),
         sensors=sensors(scenario, full_speed),
         seed=np.array(scenario.seed, np.int64),
-        outside=_outside(scenario, bare, full_speed),
+        outside=_outside(scenario, bare, full_speed, more),
     )
 
 
@@ -147,7 +179,7 @@ def craft(scenario: Scenario, known: Vehicle | None = None) -> dynamics.Craft:
         arm = scenario.airframe["arm_m"] / max(np.hypot(r.x, r.y) for r in known.rotors)
         rotors = tuple(replace(r, x=r.x * arm, y=r.y * arm) for r in known.rotors)
         bare = _bare(scenario, replace(known, rotors=rotors))
-    return _craft(scenario, bare, _full_speed(scenario, bare))
+    return _craft(scenario, bare, _full_speed(scenario, bare), beyond(scenario))
 
 
 def induced_velocity(scenario: Scenario) -> float:
@@ -181,7 +213,7 @@ def _bare(scenario: Scenario, craft: Vehicle) -> Bare:
     return Bare(x, y, spin, thrust_max, mass, _inertia(a, known, mass, arm), arm, radius, drag_ratio, hover)
 
 
-def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) -> control.Autopilot:
+def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float, more: bool) -> control.Autopilot:
     """An autopilot tuned for the vehicle without payload, with the thrust curve that it assumes. full_speed [rad/s] of the rotors."""
     a, mixer = scenario.airframe, known.mixer
     assert mixer is not None
@@ -199,7 +231,8 @@ def _pilot(scenario: Scenario, known: Vehicle, bare: Bare, full_speed: float) ->
     momentum = _rotor_inertia(scenario, bare) * full_speed / (2.0 * np.sqrt(bare.hover))
     lead = momentum / (bare.drag_ratio * bare.thrust_max.mean())
     about = (mixer, B_tau, np.diag(bare.J), bare.thrust_max, 3.0 * pilot.attitude, lead, a["lag_s"])
-    return pilot._replace(inversion=incremental.tune(scenario.control == "indi", *about))
+    sequential = np.array(float(scenario.autopilot == "px4" and scenario.desaturation == "sequential")) if more else ()
+    return pilot._replace(inversion=incremental.tune(scenario.control == "indi", *about), sequential=sequential)
 
 
 def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
@@ -208,20 +241,77 @@ def _rotor_inertia(scenario: Scenario, bare: Bare) -> float:
     return 0.015 * bare.mass / len(bare.x) * (2.0 * bare.radius) ** 2 / 12.0 if inertia is None else inertia
 
 
-def _outside(scenario: Scenario, bare: Bare, full_speed: float) -> outside.Outside:
+def _outside(scenario: Scenario, bare: Bare, full_speed: float, more: bool) -> outside.Outside:
     """External influences of the scenario. full_speed [rad/s] of the rotors. Raises ConfigError."""
     a, w, drops = scenario.airframe, scenario.outside, scenario.airframe["payload_drops_s"]
     to, empty = np.radians(w["push_to_deg"]), replace(scenario, airframe={**a, "payload_kg": 0.0})
     return outside.Outside(
-        push=w["push_m_s2"] * bare.mass * np.array([np.cos(to), np.sin(to), 0.0]),
+        push=bare.mass * np.array([w["push_m_s2"] * np.cos(to), w["push_m_s2"] * np.sin(to), w["push_down_m_s2"]]),
         height=np.array(w["push_above_m"]),
         onset=np.array(w["push_onset_s"]),
         end=np.array(faults.NEVER if w["push_end_s"] is None else w["push_end_s"]),
         wash=np.array(a["wash"]),
         induced=np.array(_induced(bare)),
         steps=np.array(a["output_steps"]),
-        lighter=_craft(scenario if drops is None else empty, bare, full_speed),
+        lighter=_craft(scenario if drops is None else empty, bare, full_speed, more),
         drops=np.array(faults.NEVER if drops is None else drops),
+        changes=_changes(scenario, bare) if more else (),
+    )
+
+
+def _changes(scenario: Scenario, bare: Bare) -> outside.Changes:
+    """What changes in the scenario besides."""
+    a, w = scenario.airframe, scenario.outside
+    return outside.Changes(
+        push_ramp=np.array(w["push_ramp_s"]),
+        twist=bare.J @ np.array(w["twist_rad_s2"], float),
+        shift=np.array(a["shift_m"], float),
+        shift_onset=np.array(a["shift_onset_s"]),
+        shift_ramp=np.array(a["shift_ramp_s"]),
+        lag_down=np.array(a["lag_down"]),
+        falls=np.array(float(scenario.wind["falls"])),
+    )
+
+
+def _extra(scenario: Scenario, bare: Bare, mass: float, J: np.ndarray, shift: np.ndarray, hub: float) -> attached.Extra:
+    """Legs, lines and what else is attached. mass [kg], J (3, 3) with payload; shift (3,): of its centre of mass; hub [m] above it."""
+    a, w, n = scenario.airframe, scenario.outside, len(bare.x)
+    legs = a["legs"] or attached.LEGS  # without, four feet stand for level ones
+    leg = 0.5 * bare.arm if a["leg_m"] is None else a["leg_m"]
+    out = 0.6 * bare.arm if a["leg_at_m"] is None else a["leg_at_m"]
+    turn = np.radians(a["leg_turn_deg"]) + 2.0 * np.pi * (np.arange(attached.LEGS) + 0.5) / legs
+    feet = np.stack([out * np.cos(turn), out * np.sin(turn), np.full(attached.LEGS, leg)], axis=1)
+    hubs = np.stack([bare.x, bare.y, np.full(n, -hub)], axis=1)
+    stands = np.concatenate([np.arange(attached.LEGS) < legs, np.ones(n)]).astype(float)
+    stiff = mass * attached.CONTACT**2 / legs * np.ones(attached.LEGS + n)
+    damp = 2.0 * attached.CONTACT_DAMPING * stiff / attached.CONTACT
+    load, hook = a["slung_kg"], np.array([0.0, 0.0, a["hook_m"]]) - shift
+    slow = 1.0 / mass + hook @ hook / np.diag(J).min()  # of the vehicle at its hook, per newton
+    line_stiff = attached.LINE**2 / (slow + 1.0 / load) if load else 0.0
+    line_damp = 2.0 * attached.LINE_DAMPING * line_stiff / attached.LINE
+    tether = faults.NEVER if w["tether_m"] is None else w["tether_m"]
+    tether_stiff = w["tether_stiffness"] * mass
+    return attached.Extra(
+        points=np.concatenate([feet, hubs]) - shift,
+        stands=stands,
+        stiff=stiff,
+        damp=damp,
+        grip=stiff,
+        grip_damp=damp,
+        friction=np.array(a["friction"]),
+        floor=np.array(leg - shift[2]),
+        drag_at=np.array(a["drag_at_m"], float) - shift,
+        twist=np.zeros(3),
+        hook=hook,
+        load=np.array(load),
+        line=np.array(a["sling_m"]),
+        line_stiff=np.array(line_stiff),
+        line_damp=np.array(line_damp),
+        load_drag=np.array(0.01 * load * a["body_drag"]),
+        tether=np.array(tether),
+        anchor=np.array([*w["tether_at_m"], leg]),
+        tether_stiff=np.array(tether_stiff),
+        tether_damp=np.array(0.4 * np.sqrt(tether_stiff * mass)),
     )
 
 
@@ -236,15 +326,17 @@ def _board(a: Mapping[str, Any]) -> np.ndarray:
     return yaw @ pitch @ roll
 
 
-def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
+def _craft(scenario: Scenario, bare: Bare, full_speed: float, more: bool) -> dynamics.Craft:
     """The vehicle with its payload, about their common centre of mass. full_speed [rad/s] of the rotors. Raises ConfigError."""
     a, n, full = scenario.airframe, len(bare.x), bare.thrust_max.sum()
     total, J, shift = _loaded(bare.mass, bare.J, a["payload_kg"], np.array(a["payload_at_m"], float))
-    mount = _board(a)
+    mount, of_frame = _board(a), J
     J = mount.T @ J @ mount
     built = 1.0 + a["rotor_spread"] * np.random.default_rng([scenario.seed, 4]).uniform(-1.0, 1.0, n)
     if total * G0 > 0.9 * full:
         raise ConfigError(f"airframe.payload_kg: {total:.3g} kg are too much for {full:.3g} N of full thrust.")
+    if (total + a["slung_kg"]) * G0 > 0.9 * full:
+        raise ConfigError(f"airframe.slung_kg: {total + a['slung_kg']:.3g} kg are too much for {full:.3g} N of full thrust.")
     hub = 0.1 * bare.arm if a["hub_height_m"] is None else a["hub_height_m"]
     each = bare.mass * G0 / n
     # N s/m at full speed: hover thrust over induced velocity, at hover speed
@@ -271,6 +363,7 @@ def _craft(scenario: Scenario, bare: Bare, full_speed: float) -> dynamics.Craft:
         mount=mount,
         push=np.zeros(3),
         push_z=np.array(0.0),
+        extra=_extra(scenario, bare, total, of_frame, shift, hub) if more else (),
     )
 
 
@@ -286,6 +379,9 @@ def _inertia(a: Mapping[str, Any], known: dict | None, mass: float, arm: float) 
         diagonal = np.array(known["inertia"], float)
     else:
         diagonal = mass * (arm * np.array([0.4, 0.4, 0.55])) ** 2
+        if a["length_to_width"] != 1.0:  # about x it is as wide as its width
+            ratio = a["length_to_width"]
+            diagonal[:2] *= np.array([2.0, 2.0 * ratio**2]) / (1.0 + ratio**2)
     if 2.0 * diagonal.max() > diagonal.sum() * (1.0 + 1e-9):
         raise ConfigError("airframe.inertia_kg_m2: no body has one moment of inertia larger than the sum of the others.")
     return np.diag(diagonal)
@@ -308,12 +404,23 @@ def _loaded(mass, J, payload, at):
     return total, J + offset(mass, -shift) + offset(payload, at - shift), shift
 
 
-def _up_and_down(scenario: Scenario) -> trajectories.Trajectory:
+def _up_and_down(scenario: Scenario, more: bool) -> trajectories.Trajectory:
     """Take-off, manoeuvre, and landing if the scenario has one."""
     w, landing = scenario.trajectory, faults.NEVER
+    slow_speed = w["slow_m_s"] or trajectories.DESCENT
     if w["land"]:
         landing = scenario.duration_s - w["altitude_m"] / trajectories.DESCENT - 5.0 - w["rest_s"]
-    return way(scenario, w["altitude_m"], w["take_off_s"], landing)
+        if more:
+            down = trajectories.down_time(w["altitude_m"], w["slow_m"], slow_speed)
+            landing = scenario.duration_s - down - w["cut_s"] - 3.0 - w["rest_s"]
+    made = way(scenario, w["altitude_m"], w["take_off_s"], landing)
+    if not more:
+        return made
+    to, hops = np.radians(w["drift_to_deg"]), w["hops"]
+    levels = faults.NEVER if w["levels_s"] is None else w["levels_s"]
+    drift = w["drift_m_s"] * np.array([np.cos(to), np.sin(to)])
+    numbers = (w["slow_m"], slow_speed, drift, w["cut_s"], hops, w["hop_m"], w["hop_s"], w["hop_rest_s"], levels)
+    return made._replace(approach=trajectories.Approach(*(np.array(v, float) for v in numbers)))
 
 
 def way(scenario: Scenario, altitude: float, take_off: float, landing: float) -> trajectories.Trajectory:
@@ -344,10 +451,10 @@ def air(scenario: Scenario, arm: float) -> wind.Wind:
 
 def _battery(scenario: Scenario, thrust: float, hover: float) -> Battery:
     b = scenario.battery
-    full, empty = 4.2 * b["cells"], 3.5 * b["cells"]
+    full, empty = 4.2 * b["cells"], b["empty_V"] * b["cells"]
     amps = thrust * WATT_PER_NEWTON / full
     hovering = amps * hover**1.5
-    charge = 3600.0 * b["capacity_Ah"] if b["capacity_Ah"] else hovering * HOVER_MINUTES * 60.0
+    charge = 3600.0 * b["capacity_Ah"] if b["capacity_Ah"] else hovering * b["hover_min"] * 60.0
     resistance = SAG * full / amps if b["resistance_ohm"] is None else b["resistance_ohm"]
     return Battery(*(np.array(float(v)) for v in (full, empty, charge, resistance, amps)))
 

@@ -40,6 +40,7 @@ from rotorwatch_lab.simulation import faults, trajectories
 MAX_BYTES = 1_000_000
 AUTOPILOTS = ("ardupilot", "px4")
 CONTROLS = ("pid", "indi")
+DESATURATIONS = ("throttle", "sequential")
 PROFILES = ("default", "fast", "full")
 ACTUATORS = ("collective", "tail", "longitudinal", "lateral")
 RECORD_HZ = {
@@ -62,7 +63,8 @@ class Field(NamedTuple):
 
 
 CHOICES = {
-    "autopilot": AUTOPILOTS, "control": CONTROLS, "trajectory.kind": trajectories.KINDS, "logging.profile": PROFILES,
+    "autopilot": AUTOPILOTS, "control": CONTROLS, "desaturation": DESATURATIONS,
+    "trajectory.kind": trajectories.KINDS, "logging.profile": PROFILES,
     "faults.kind": faults.KINDS, "faults.actuator": ACTUATORS,
 }  # fmt: skip
 """Of the fields that take one of some names."""
@@ -97,7 +99,7 @@ HELICOPTER_FIELDS: dict[str, tuple[str, ...]] = {
     "": ("name", "duration_s", "seed", "rate_hz"),
     "airframe": ("frame", "lag_s", "payload_kg"),
     "trajectory": ("kind", "altitude_m", "size_m", "speed_m_s", "yaw_deg", "yaw_speed_deg_s", "take_off_s"),
-    "wind": tuple(FIELDS["wind"]),
+    "wind": tuple(name for name in FIELDS["wind"] if name != "falls"),
     "outside": (),
     "battery": (),
     "sensors": tuple(name for name in FIELDS["sensors"] if not name.startswith("reset")),
@@ -117,6 +119,7 @@ class Scenario:
     seed: int
     autopilot: str
     control: str
+    desaturation: str
     rate_hz: float
     airframe: Mapping[str, Any]
     trajectory: Mapping[str, Any]
@@ -180,6 +183,8 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
     if not isinstance(rows, list) or len(rows) > faults.MOST:
         raise ConfigError(f"faults must be at most {faults.MOST} [[faults]] tables.")
     helicopter = is_helicopter(parts["airframe"]["frame"])
+    if parts["airframe"]["legs"] not in (0, 3, 4):
+        raise ConfigError(f"airframe.legs must be 0, 3 or 4, not {parts['airframe']['legs']}.")
     found = tuple(_fault(f"faults[{k + 1}]", row, top["duration_s"], helicopter) for k, row in enumerate(rows))
     if helicopter:
         _helicopter(table, top["duration_s"], parts["trajectory"])
@@ -191,7 +196,13 @@ def from_table(table: Mapping[str, Any]) -> Scenario:
 def _times(duration: float, way: Mapping[str, Any]) -> None:
     """Raise ConfigError for a flight too short for its take-off and landing."""
     least = way["take_off_s"] + way["altitude_m"] / trajectories.CLIMB + 7.0 + way["spool_s"]
-    least += (way["altitude_m"] / trajectories.DESCENT + 6.0 + way["rest_s"]) if way["land"] else 0.0
+    slow = way["slow_m_s"] or trajectories.DESCENT
+    if way["slow_m"] > way["altitude_m"]:
+        raise ConfigError(f"trajectory.slow_m is {way['slow_m']:g}, above altitude_m, {way['altitude_m']:g}.")
+    down = trajectories.down_time(way["altitude_m"], way["slow_m"], slow)
+    least += (down + 4.0 + way["cut_s"] + way["rest_s"]) if way["land"] else 0.0
+    hop = way["spool_s"] + way["hop_m"] / trajectories.CLIMB + way["hop_s"] + way["hop_m"] / slow + way["cut_s"] + way["hop_rest_s"]
+    least += way["hops"] * hop
     least += way["size_m"] / trajectories.LEVEL if way["land"] and way["kind"] in ("climb", "aggressive") else 0.0
     if duration < least:
         raise ConfigError(f"duration_s is {duration:g}, but the way to trajectory.altitude_m and back takes {least:.0f} s.")

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 
+import numpy as np
+
 from rotorwatch.base.backend import jax as load_jax
 
 KINDS = ("hover", "square", "figure-eight", "climb", "yaw", "aggressive", "yaw-steps", "turning-square")
@@ -17,17 +19,30 @@ BLEND = 2.0  # s from standstill into the manoeuvre, and out of it
 LEVEL = 1.5  # m/s on average, from where a climb was to the working height
 HOVER_FIRST = 2.0  # s of hover after the climb
 HOLD = 4.0  # s between yaw steps
+CUT = 2.0  # s from touchdown until the motors stop
+LEVELLED = 1.0
+UNDER = 0.5  # m below the ground: how far down the setpoint goes
 
 
-class Trajectory(namedtuple("Trajectory", "kind altitude size speed yaw yaw_speed take_off landing turn spool rest")):
+class Approach(namedtuple("Approach", "slow slow_speed drift cut hops hop hop_time hop_rest levels")):
+    """How the ground is met. slow [m]: below it the way down is at slow_speed [m/s]; drift (2,): velocity north, east of the setpoint
+    meanwhile [m/s]; cut [s]: from touchdown to the motors' stop; hops: short flights before the long one, hop [m] high, of hop_time [s]
+    of hover and with hop_rest [s] on the ground with idle motors after each; levels [s]: from touchdown until the autopilot notices, and
+    asks for a level attitude and, within LEVELLED s, a quarter of the thrust."""
+
+
+class Trajectory(
+    namedtuple("Trajectory", "kind altitude size speed yaw yaw_speed take_off landing turn spool rest approach", defaults=[()])
+):
     """kind: index into KINDS. altitude, size [m], speed [m/s], yaw [rad] at take-off, yaw_speed [rad/s]; take_off, landing:
     times [s] when the motors start to lift and when the way down begins; turn: time [s] in which a quarter turn is asked for; spool
-    [s] from idling motors to what the controller asks; rest [s] that they push on at the end on the ground."""
+    [s] from idling motors to what the controller asks; rest [s] that they push on at the end on the ground. approach: an
+    `Approach`, or nothing; with hops take_off is when the first one begins."""
 
 
-class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift stir", defaults=[()])):
+class Reference(namedtuple("Reference", "p v a yaw yaw_rate lift stir level", defaults=[(), ()])):
     """p, v, a (3,) NED; yaw, yaw_rate; lift: 0 while the motors idle, rising to 1 as they spool up; stir: nothing asked for, but noise that
-    the aircraft meets (`outside`)."""
+    the aircraft meets (`outside`); level: 0, on the ground rising to 1 as the autopilot knows that it is there."""
 
 
 def smooth(s):
@@ -38,8 +53,38 @@ def smooth(s):
 
 
 def touch_down(way: Trajectory):
-    """Time of touchdown [s]."""
+    """Time [s] when the motors stop after the landing."""
+    if way.approach:
+        return way.landing + down_time(way.altitude, way.approach.slow, way.approach.slow_speed) + way.approach.cut + way.rest
     return way.landing + way.altitude / DESCENT + 2.0 + way.rest
+
+
+def down_time(altitude, slow, slow_speed):
+    """Time [s] from `altitude` [m] to the ground, below `slow` [m] at slow_speed [m/s]."""
+    return (altitude - slow) / DESCENT + slow / slow_speed
+
+
+def hop_times(way: Trajectory):
+    """(period of the hops, way up, beginning of the way down, cut of the motors), all [s] from a hop's begin."""
+    hop = way.approach
+    up = way.spool - 1.0 + 1.0 + hop.hop / CLIMB
+    down = up + hop.hop_time
+    cut = down + hop.hop / hop.slow_speed + hop.cut
+    return cut + hop.hop_rest, up, down, cut
+
+
+def last_take_off(way: Trajectory):
+    """Time [s] when the long flight begins: after the hops."""
+    return way.take_off + way.approach.hops * hop_times(way)[0] if way.approach else way.take_off
+
+
+def landings(way: Trajectory) -> list[tuple[float, float]]:
+    """(begin, cut of the motors) [s] of each hop."""
+    if not way.approach:
+        return []
+    period, _, _, cut = (float(t) for t in hop_times(way))
+    begins = float(way.take_off) + period * np.arange(int(way.approach.hops))
+    return [(float(t), float(t) + cut) for t in begins]
 
 
 def table(way: Trajectory, ticks: int, dt: float) -> Reference:
@@ -50,9 +95,18 @@ def table(way: Trajectory, ticks: int, dt: float) -> Reference:
     pose = jax.vmap(_path, in_axes=(None, 0))(way, t)
     speed = (pose[2:] - pose[:-2]) / (2.0 * dt)
     bend = (pose[2:, :3] - 2.0 * pose[1:-1, :3] + pose[:-2, :3]) / (dt * dt)
-    lift = jnp.clip((t[1:-1] - way.take_off) / way.spool, 0.0, 1.0)
+    begin, level = last_take_off(way), ()
+    lift = jnp.clip((t[1:-1] - begin) / way.spool, 0.0, 1.0)
+    if way.approach:
+        period, _, _, cut = hop_times(way)
+        here = jnp.mod(t[1:-1] - way.take_off, period)
+        hopping = jnp.where(here < cut, jnp.clip(here / way.spool, 0.0, 1.0), 0.0)
+        in_hops = (t[1:-1] >= way.take_off) & (t[1:-1] < begin)
+        lift = jnp.where(in_hops, hopping, lift)
+        known = jnp.where(in_hops, here - cut, t[1:-1] - touch_down(way) + way.rest) + way.approach.cut - way.approach.levels
+        level = jnp.clip(known / LEVELLED, 0.0, 1.0)
     lift = jnp.where(t[1:-1] > touch_down(way), 0.0, lift)
-    return Reference(pose[1:-1, :3], speed[:, :3], bend, pose[1:-1, 3], speed[:, 3], lift)
+    return Reference(pose[1:-1, :3], speed[:, :3], bend, pose[1:-1, 3], speed[:, 3], lift, level=level)
 
 
 def _path(way: Trajectory, t):
@@ -60,7 +114,7 @@ def _path(way: Trajectory, t):
     jnp = load_jax().numpy
     up_time = 1.0 + way.altitude / CLIMB
     # The manoeuvre's own time runs from the end of the climb to the landing, starting and ending at standstill.
-    up = way.take_off + way.spool - 1.0
+    up = last_take_off(way) + way.spool - 1.0
     begin = up + up_time + HOVER_FIRST
     s = _eased(t - begin) - _eased(t - (way.landing - BLEND))
     a, v = way.size, way.speed
@@ -68,9 +122,31 @@ def _path(way: Trajectory, t):
     level_time = 1.0 + a / LEVEL  # before the way down: back to the working height
     rise = rise * (1.0 - smooth((t - way.landing + level_time) / level_time))
     height = way.altitude * smooth((t - up) / up_time) + rise
-    descent = DESCENT * jnp.maximum(t - way.landing, 0.0)
-    down = jnp.where(t > way.landing, jnp.minimum(-height + descent, 0.5), -height)
+    since = jnp.maximum(t - way.landing, 0.0)
+    if way.approach:
+        north, east, height, descent = _approached(way, t, since, north, east, height)
+    else:
+        descent = DESCENT * since
+    down = jnp.where(t > way.landing, jnp.minimum(-height + descent, UNDER), -height)
     return jnp.stack([north, east, down, way.yaw + way.yaw_speed * s + turn])
+
+
+def _approached(way: Trajectory, t, since, north, east, height):
+    """(north, east, height, descent) [m] with hops before the flight and a slow, drifting way down. since: time on the way down [s]."""
+    jnp = load_jax().numpy
+    hop = way.approach
+    fast = (way.altitude - hop.slow) / DESCENT
+    descent = DESCENT * jnp.minimum(since, fast) + hop.slow_speed * jnp.maximum(since - fast, 0.0)
+    period, up, down, cut = hop_times(way)
+    here = jnp.mod(t - way.take_off, period)
+    hopping = (t >= way.take_off) & (t < last_take_off(way))
+    falling = jnp.maximum(here - down, 0.0)
+    rise = hop.hop * smooth((here - (way.spool - 1.0)) / (up - way.spool + 1.0)) - hop.slow_speed * falling
+    height = jnp.where(hopping, jnp.where(here < cut, jnp.maximum(rise, -UNDER), 0.0), height)
+    # Drift begins with the slow part of the way down, and ends when the motors do.
+    slow = jnp.maximum(since - fast, 0.0) + jnp.where(hopping & (here < cut), falling, 0.0)
+    drifted = _eased(jnp.minimum(slow, hop.slow / hop.slow_speed + hop.cut + 30.0))
+    return north + hop.drift[0] * drifted, east + hop.drift[1] * drifted, height, descent
 
 
 def _eased(t):
