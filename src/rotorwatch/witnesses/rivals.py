@@ -24,10 +24,25 @@ from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.events.decisions import CLEAR
 from rotorwatch.engine.events.losses import WITHIN_95
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import EVIDENCE, LOSS
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, Kind, Weight, Words, register
+from rotorwatch.flight.kinds import Span as Lasting
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
+SLOW_RESPONSE = "slow_response"
+register(
+    Kind(
+        18, SLOW_RESPONSE, "slow motor response", "a motor follows its commands later than the others", Weight.FAULT, Lasting.LASTS,
+        brief="slow response",
+        headline=Words("{who} has followed its commands too slowly since {at}{again}."),
+        now=Words("slow since {at}"), past=Words("was slow from {at} to {end}"),
+        advice=Words(
+            "Do not fly again until {who} has been inspected: motor bearing and windings, ESC timing, a propeller too large or heavy, and "
+            "the connectors between them."
+        ),
+    )
+)  # fmt: skip
 SOURCE = Source("rivals", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S = 3.0  # of motion after the onset
@@ -48,6 +63,8 @@ ELSE = (
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
 LATES_S = (0.08, 0.2)  # of a slow motor
+# Of the scan: evidence beyond any other rotor's, twice in nats; by which the onset's may be lower; lag; least information.
+SUSPECTS, LATELY, SLOWS_S, INFORMATION = 60.0, 15.0, 0.1, 20.0
 LAGS_S = (0.0, 0.03, 0.06, 0.12)  # of all motors, beyond the lag that the ticks assume
 
 
@@ -84,12 +101,13 @@ def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np
 
 
 class Weighed(NamedTuple):
-    """Probabilities: of a loss of the claimed rotors, with others or not; of no loss; of each other set of rotors, from 0. lasts: log odds
-    that the loss is not over. loss, sd: of each set."""
+    """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
+    rotors, from 0; of a slow response of each rotor. lasts: log odds that the loss is not over. loss, sd: of each set."""
 
     claim: float
     none: float
     others: dict[tuple[int, ...], float]
+    slow: np.ndarray
     lasts: float
     loss: dict[tuple[int, ...], np.ndarray]
     sd: dict[tuple[int, ...], np.ndarray]
@@ -129,6 +147,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
         float(share[mine].sum()),
         float(share[none].sum()),
         {w: float(sum(share[k] for k in range(len(them)) if weak[k] == w)) for w in rest},
+        np.array([sum(share[k] for k, who in enumerate(late) if who == (i,)) for i in range(B.shape[1])]),
         fits[1].log_p - fits[0].log_p if claim else 0.0,
         {w: fits[k].loss[list(w)] for w, k in best.items()},
         {w: fits[k].sd[list(w)] for w, k in best.items()},
@@ -170,6 +189,8 @@ def _hear(view: View, events: Events) -> Events:
         found = None if e.kind != LOSS or near_fall else weigh(view, e, events)
         if found is None:
             kept.append(e)
+        elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > 0.5:
+            kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
         elif found.none > (CERTAIN if "grew_until_s" in e.extra else 0.5):
             view.warnings.append(_warning(e))
         elif found.none > 1.0 / (1.0 + CLEAR):
@@ -178,20 +199,51 @@ def _hear(view: View, events: Events) -> Events:
         else:
             kept.append(_named(e, found))
     for c in view.open:
-        if c.kind == EVIDENCE and view.stands(c.onset_s):
-            continue
-        found = weigh(view, c, kept, named=False) if c.kind == EVIDENCE else None
-        if found is None:
-            open_.append(c)
-            continue
-        best = max((who for who in found.others if set(who) <= {r - 1 for r in c.rotors}), key=lambda w: found.others[w], default=None)
-        share = 0.0 if best is None else found.others[best]
-        if best is not None and share > SURE:
-            kept.append(_event(view, c, best, found))
-        elif share > CREDIBLE:
-            open_.append(c)
+        if c.kind != EVIDENCE or not view.stands(c.onset_s):
+            kept_, left = _settled(view, c, kept)
+            kept += kept_
+            open_ += left
+    for c in _suspects(view, kept):
+        kept += _settled(view, c, kept)[0]
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
+
+
+def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Event], list[Event]]:
+    """(the event that an open claim turns out to be, the claim where it stays open)."""
+    found = weigh(view, claim, events, named=False) if claim.kind == EVIDENCE else None
+    if found is None:
+        return [], [claim]
+    best = max((who for who in found.others if set(who) <= {r - 1 for r in claim.rotors}), key=lambda w: found.others[w], default=None)
+    share, rotor = 0.0 if best is None else found.others[best], int(np.argmax(found.slow))
+    if best is not None and share > SURE:
+        return [_event(view, claim, best, found)], []
+    if found.slow[rotor] > SURE and rotor + 1 in claim.rotors:
+        return [_slow(claim.onset_s, claim.onset_s + AFTER_S, rotor + 1, found)], []
+    return [], [claim] if share > CREDIBLE else []
+
+
+def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
+    """A rotor whose quick commands the motion has not followed since some time, and none of the others as much: to be compared.
+
+    With d, the part of a rotor's thrust that is faster than a lag, its share that is missing since tick k has the evidence
+    (sum_t B_a d nu_a / S_a)^2 / sum_t (B_a d)^2 / S_a over the innovations nu from k on."""
+    table, out, B = view.table, view.out, view.B
+    if out is None or table is None or any(e.means.accuses for e in events):
+        return []
+    judged = (table.mode == JUDGE) & table.valid.all(axis=1) & ~view.ground & ~table.upset
+    quick = table.thrust - lagged(table, B, SLOWS_S).thrust
+    weight = judged[:, None] / out.innovation_var
+    score = np.cumsum(((weight * out.innovation) @ B * quick)[::-1], axis=0)[::-1]
+    information = np.cumsum((weight @ B**2 * quick**2)[::-1], axis=0)[::-1]
+    nats = np.where(information > INFORMATION, score * abs(score) / np.maximum(information, 1e-9), 0.0)
+    best = nats.max(axis=0)
+    rotor = int(np.argmax(best))
+    if best[rotor] - np.delete(best, rotor).max(initial=0.0) < SUSPECTS:
+        return []
+    since = np.flatnonzero(nats[:, rotor] > best[rotor] - LATELY)[-1]
+    onset = float(table.command_time[since])
+    return [residual_evidence.claim((rotor + 1,), onset, float(table.time[-1]))]
 
 
 def _named(event: Event, found: Weighed) -> Event:
@@ -216,6 +268,16 @@ def _event(view: View, claim: Event, who: tuple[int, ...], found: Weighed) -> Ev
         LOSS, tuple(i + 1 for i in who), claim.onset_s, claim.onset_s + AFTER_S, None, tuple(map(float, loss)), interval, found.others[who],
         (), reason, extra, SOURCE,
     )  # fmt: skip
+
+
+def _slow(onset_s: float, detected_s: float, rotor: int, found: Weighed) -> Event:
+    """A rotor that follows its commands late."""
+    reason = (
+        f"since {onset_s:.1f} s rotor {rotor} has followed its commands about {LATES_S[0]:.1f} s later than the others: its quick changes "
+        "of thrust have come too late"
+    )
+    extra = {"live": False}
+    return Event(SLOW_RESPONSE, (rotor,), onset_s, detected_s, None, (), (), float(found.slow[rotor - 1]), (), reason, extra, SOURCE)
 
 
 def _warning(loss: Event) -> str:
