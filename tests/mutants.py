@@ -57,6 +57,9 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
 NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
+    "engine/bindings/explaining.py": ("rivals",),
+    "engine/estimator/explanations.py": ("rivals",),
+    "engine/motion/ground_contact.py": ("rivals", "near_ground"),
     "logs/__init__.py": ("logs_open",),
     "logs/usd.py": ("logs_crazyflie",),
     "logs/dataflash_esc.py": ("esc_readers", "dataflash"),

@@ -52,6 +52,7 @@ class Case:
         self._tables: list[Ticks] = []  # of the last WINDOW_S
         self._recent: list[Ticks] = []  # after these, in small pieces
         self._heard: dict[str, tuple[float, tuple[Event, ...]]] = {}  # witness -> when it was asked last [s], its claims
+        self._open_claims: Events = ()  # of a flight that is over
         self._asked = [(one, one.due) for one in witness.registered() if one.stage is Stage.CLAIMS and one.due]  # on a link
         self._open()
 
@@ -112,12 +113,17 @@ class Case:
             losses = diagnoser.losses.events(flies=not self.over)
             others += map(events.overridden, in_flight(diagnoser.overrides, self.air))
         _, found = settled(losses, others, self._merged, view, on_link=True)
+        if view is not None and not self.consistency.doubt:
+            found, self._open_claims = compared(view, *self._with_open(found))
         return ledger.believed(found, self.consistency.until)
 
     def weighed(self, found: Iterable[Event]) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
         """The events `found`, doubted where the steps of the trim are evidence against a rotor, and the open claims that none of them
         explains."""
-        found = tuple(found)
+        found, claims = self._with_open(tuple(found))
+        return found, self._open_claims if self.over else claims
+
+    def _with_open(self, found: Events) -> tuple[Events, Events]:
         if self.unseen is None or self.last is None:
             return found, ()
         now = float(self.last.table.time[-1])
@@ -217,3 +223,10 @@ def settled(
     claims = claims if view is None else witness.ask(Stage.REVISION, view, claims)
     merged = merge(claims)
     return merged, merged.events if view is None else witness.ask(Stage.EVENTS, view, merged.events)
+
+
+def compared(view: View, found: Events, claims: Events) -> tuple[Events, Events]:
+    """The events and the open claims of a flight that is over, after the witnesses that compare what explains its motion."""
+    view.open = claims
+    found = witness.ask(Stage.COMPARISON, view, found)
+    return found, ledger.open_claims(view.open, found)

@@ -12,7 +12,7 @@ import numpy as np
 from rotorwatch.answer import conclusion, drift, health, ledger, places, slow, unjudged, unseen, wording
 from rotorwatch.base.arrays import median
 from rotorwatch.base.progress import portion
-from rotorwatch.case.conductor import settled
+from rotorwatch.case.conductor import compared, settled
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.program import TickOutput, threshold
@@ -149,8 +149,7 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     claims = [c for c in claims if c.kind != EVIDENCE or c.onset_s < pushed_s - LEANS_S]
     view.open = ledger.open_claims(claims, found)
     if view.consistent:
-        found = witness.ask(Stage.COMPARISON, view, found)
-        view.open = ledger.open_claims(view.open, found)
+        found, view.open = compared(view, found, view.open)
     tell(0.8)
     if view.consistent and log.hovers:
         found = witness.ask(Stage.SETUP, view, found)

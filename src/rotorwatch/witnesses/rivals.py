@@ -7,9 +7,9 @@ evidence log p_e of `engine.estimator.explanations` and a prior log weight, and
 
     P(loss of these rotors) = sum of w_e p_e over explanations with it / sum over all
 
-Where the rest is likelier, the loss is no event. Where it is less than ten times less likely, it is an open claim, and where another
-rotor is, that rotor is an alternative. An open claim of one rotor that is SURE becomes an event, and one that is not credible is dropped. A
-loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
+Where the rest is ten times likelier, the loss is no event. Where it is not ten times less likely, it is an open claim, and where another
+rotor is not, that rotor is an alternative. An open claim of one rotor that is SURE becomes an event, and one that is not credible is
+dropped. A loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ FALL_S = 4.0  # before a loss of control: what follows is the fall
 SURE, CREDIBLE = 0.99, 0.05  # probabilities from which an open claim becomes an event, and below which it is dropped
 CERTAIN = 1.0 - 1e-8  # the noise that a flight has taught holds its slow changes, so that the motion says little of a loss that grows
 # Log weights, relative to a loss of one particular rotor.
-NOTHING, OTHER, BESIDE, PAIR, STUCK, SLOW = 3.0, 2.0, -2.0, -2.3, -2.3, -1.0
+NOTHING, OTHER, BESIDE, PAIR, STUCK, SLOW = 3.0, 2.0, -1.0, -2.3, -2.3, -1.0
 # What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; a free wrench, as a factor of them,
 # for so many s; and a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)],
 # and its lever in a side force.
@@ -58,7 +58,7 @@ ELSE = (
     *(Explanation(step=step) for step in (1.0, 4.0)),
     *(Explanation(drift=drift, lever=lever) for drift, lever in ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0), (0.12, 14.0))),
     *(Explanation(step=1.0, force=force, force_s=lasts)
-      for force, lasts in ((10.0, 0.3), (10.0, 1.0), (10.0, 3.0), (3.0, 10.0), (10.0, 10.0), (3.0, np.inf))),
+      for force, lasts in ((10.0, 1.0), (10.0, 3.0), (3.0, 10.0), (10.0, 10.0), (3.0, np.inf))),
 )  # fmt: skip
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
@@ -119,15 +119,17 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     table, B, learned = view.table, view.B, view.learned
     assert table is not None and learned is not None
     claim = tuple(r - 1 for r in event.rotors) if named else ()
+    also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     end_s = np.inf if event.end_s is None or not named else event.end_s
     begun = event.extra.get("grew_until_s", event.detected_s) if named else event.onset_s
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
-    until = min([begun + AFTER_S, end_s + OVER_S, *others])
+    again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
+    until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
     where = span(table, B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
     if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S or min(end_s, until) - event.onset_s < SHORTEST_S:
         return None
     where = _in_time(where)
-    them = rivals(B.shape[1], claim, end_s)
+    them = rivals(B.shape[1], claim, end_s) + [Rival(Explanation(who, end_s)) for who in also if len(who) > 1]
     fits = compare(where, [r.how for r in them])
     logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
     if claim:
@@ -139,7 +141,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     share /= share.sum()
     weak = [tuple(sorted(i for i in r.weak if f.loss[i] > 0.0)) for f, r in zip(fits, them)]
     late = [r.how.rotors if r.how.late else () for r in them]
-    mine = np.array([bool(claim) and (set(claim) <= set(w) or claim == late_) for w, late_ in zip(weak, late)])
+    mine = np.array([bool(claim) and (any(set(c) <= set(w) for c in (claim, *also)) or claim == slow) for w, slow in zip(weak, late)])
     none = np.array([not w for w in weak]) & ~mine
     rest = sorted(set(weak) - {w for w, own in zip(weak, mine) if own} - {()})
     best = {w: max((k for k in range(len(them)) if weak[k] == w), key=lambda k: share[k]) for w in rest}
@@ -186,20 +188,21 @@ def _hear(view: View, events: Events) -> Events:
         near_fall = any(e.onset_s <= t <= e.detected_s + FALL_S for t in view.lost)
         if any(k.end_s is None and k.kind == e.kind == LOSS and k.rotors == e.rotors for k in kept):
             continue  # an earlier one lasts
-        found = None if e.kind != LOSS or near_fall else weigh(view, e, events)
+        found = None if e.kind != LOSS or near_fall or "asked" in e.extra else weigh(view, e, events)
         if found is None:
             kept.append(e)
         elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > 0.5:
             kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
-        elif found.none > (CERTAIN if "grew_until_s" in e.extra else 0.5):
+        elif found.none > (CERTAIN if "grew_until_s" in e.extra else SURE if e.alternatives else CLEAR / (1.0 + CLEAR)):
             view.warnings.append(_warning(e))
-        elif found.none > 1.0 / (1.0 + CLEAR):
+        elif found.none > 1.0 / (1.0 + CLEAR) and not e.alternatives:
             until = e.detected_s if e.end_s is None else e.end_s
             open_.append(residual_evidence.claim(e.rotors, e.onset_s, until, e.interval, found.claim))
         else:
             kept.append(_named(e, found))
+    accused = bool(open_) or any(e.means.accuses for e in kept)
     for c in view.open:
-        if c.kind != EVIDENCE or not view.stands(c.onset_s):
+        if c.kind != EVIDENCE or not (view.stands(c.onset_s) or (_residual(c) and not accused)):
             kept_, left = _settled(view, c, kept)
             kept += kept_
             open_ += left
@@ -209,9 +212,14 @@ def _hear(view: View, events: Events) -> Events:
     return tuple(sorted(kept, key=lambda e: e.detected_s))
 
 
+def _residual(claim: Event) -> bool:
+    """True for evidence that an event has left unexplained: beside a weak rotor the model is too poor to compare it."""
+    return claim.source.name == residual_evidence.RESIDUAL.name
+
+
 def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Event], list[Event]]:
     """(the event that an open claim turns out to be, the claim where it stays open)."""
-    found = weigh(view, claim, events, named=False) if claim.kind == EVIDENCE else None
+    found = weigh(view, claim, events, named=False) if claim.kind == EVIDENCE and not _residual(claim) else None
     if found is None:
         return [], [claim]
     best = max((who for who in found.others if set(who) <= {r - 1 for r in claim.rotors}), key=lambda w: found.others[w], default=None)
@@ -243,7 +251,7 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
         return []
     since = np.flatnonzero(nats[:, rotor] > best[rotor] - LATELY)[-1]
     onset = float(table.command_time[since])
-    return [residual_evidence.claim((rotor + 1,), onset, float(table.time[-1]))]
+    return [residual_evidence.claim((rotor + 1,), onset, float(table.time[-1]), source=SOURCE)]
 
 
 def _named(event: Event, found: Weighed) -> Event:

@@ -13,7 +13,7 @@ what came before: where it does not, a free wrench, alone or beside the loss, ha
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, exp, local, log
+from rotorwatch.base.compiling.structs import FLAG, REAL, Flags, Real, Reals, Struct, array, exp, local, log
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.batch import take
 from rotorwatch.engine.estimator.estimator import Estimator
@@ -25,6 +25,7 @@ from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL,
 from rotorwatch.engine.intake.ticks import JUDGE
 
 WIDTH = 0.5  # standard deviation of a loss before the data
+SETTLES_S = 0.3  # after a begin or an end whose tick is not known exactly, and which no explanation is to predict
 
 
 class Explanation(Struct):
@@ -52,7 +53,7 @@ def explain(
     p: Plant, e: Estimator, variances: Reals, count: int, u: Reals, y: Reals, valid: Flags, onset: int, many: int, them: list[Explanation]
 ) -> None:
     """Compare `many` explanations, at most PLACES, over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y,
-    valid: as in `batch.run`; onset: a tick. The first explanation's state decides how far inputs are trusted."""
+    valid: as in `batch.run`; onset: a tick. The first explanation's state decides how far inputs are trusted; its end is that of all."""
     n = p.rotors
     now = Inputs()
     set_plant(p)
@@ -68,6 +69,10 @@ def explain(
             them[k].square[a] = 0.0
     judged = 0.0
     wrench = local(REAL, 4)
+    counts = local(FLAG, 4)
+    settles = max(int(SETTLES_S / p.dt), 1)
+    begin = onset + settles
+    over = them[0].end
     for t in range(count):
         first = t * (n + 15)
         take(p, u, first, now)
@@ -80,7 +85,7 @@ def explain(
         for k in range(many):
             if again:
                 e.branches.all[k].open(p)
-            _change(p, e.branches.all[k], them[k], t, onset)
+            _change(p, e.branches.all[k], them[k], t, begin)
             e.branches.all[k].predict(p, e.noise, 1.0, True)
             if t >= onset and t < them[k].end and them[k].grows > 0.0:
                 for i in range(n):
@@ -91,17 +96,19 @@ def explain(
         e.look(p, now, True, True)
         for a in range(4):
             wrench[a] = e.measured.y[a]
+            counts[a] = e.measured.counts[a] and (t < onset or t >= begin) and (t < over or t >= over + settles)
         for k in range(many):
             one = e.branches.all[k]
             for a in range(4):
                 e.measured.y[a] = wrench[a]
+                e.measured.counts[a] = counts[a]
             _lag(p, them[k], now, t >= onset, e.measured)
             if t >= onset and them[k].lever > 0.0:
                 _lever(one, them[k], now, e.measured)
             one.update(p, e.rows, e.measured, e.seen.gain_share)
             if t >= onset:
                 for a in range(4):
-                    if e.measured.counts[a]:
+                    if counts[a]:
                         away = one.innovation[a] * one.innovation[a] / one.S[a]
                         them[k].fit -= 0.5 * (log(one.S[a]) + away)
                         them[k].square[a] += away
