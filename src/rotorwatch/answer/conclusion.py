@@ -362,7 +362,7 @@ def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
 
 def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     """The rotor at the end of the judged flight, by the first of these that applies: nothing could be judged; a certain loss that lasts;
-    damage from take-off on; suspicion; healthy."""
+    damage from take-off on; a certain impairment; suspicion; healthy."""
     whole = seen.compared
     from_takeoff = _from_takeoff(whole, rotor, verdict, seen)
 
@@ -391,6 +391,10 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
     if whole and from_takeoff == "damaged":
         loss, than = whole["loss"][rotor - 1], "on healthy flights" if seen.whole else "in any healthy vehicle"
         return state(loss, whole["interval"][rotor - 1], _broken(loss), f"weaker than {than}")
+    impaired = [e for e in seen.events if e.means.impairs and rotor in e.rotors and e.end_s is None and not e.alternatives]
+    if impaired and seen.hidden is not None:
+        bounds = 0.0, float(seen.hidden[rotor - 1])
+        return state(0.0, bounds, "degraded", said(impaired[-1].means.now, impaired[-1]), bounds)
     suspicions = _suspicions(seen, rotor, maybe, landed, claims)
     known = [e.loss[e.rotors.index(rotor)] for e in (*maybe, *landed) if rotor in e.rotors]
     loss, high = known[-1] if known else 0.0, together([bound for _, bound in suspicions])

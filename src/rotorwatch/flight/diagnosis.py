@@ -47,8 +47,8 @@ class Trend:
 class RotorState:
     """A rotor at the end of the judged flight. rotor: 1-based. loss: 0 healthy .. 1 dead.
 
-    interval: 95 %, over all explanations; the largest undetected loss where nothing was found. status: healthy, degraded (lost some),
-    failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
+    interval: 95 %, over all explanations; the largest undetected loss where nothing was found. status: healthy, degraded (lost some, or
+    slow), failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
     since_takeoff: 95 % interval of the change since take-off, where judged. from_takeoff: not judged, healthy, bounded (by healthy vehicles
     of any build), suspect or damaged. note: its history, in a few words. grade: of the interval of the loss, or of its change since
     take-off where no more was judged: healthy, worn, weak, critical, failed, two of them, or not judged. trend: None where unknown."""

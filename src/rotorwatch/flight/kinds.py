@@ -66,11 +66,11 @@ _WATCH = Words("{noun} of {who} at {ago}{over}", nameless="{noun} at {ago}{over}
 class Kind(NamedTuple):
     """number: in compiled definitions (engine/events/events.py) and on boards; a new kind takes the next one wherever its row is, and no
     number is ever reused. name: in JSON. noun: in tables and titles. meaning: in a few words (docs/json.md). weight, span: see there.
-    weakens: its rotors lack a share of their thrust, its `loss`. by_outputs: it assumes that the logged outputs drive the motors, and is
-    dropped where they may not. brief: follows its rotors on a ground station's screen, in 30 letters. headline: for a pilot. reason: of the
-    verdict. began: as the beginning of a loss of control. now, past: a rotor's note while it lasts, and after it; for an event with several
-    explanations, without such words in `now`, only its own rotors are suspects.
-    advice: recommended action. watch: a line on the screen while the vehicle flies."""
+    weakens: its rotors lack a share of their thrust, its `loss`. impairs: they give all of it, but not as they should. by_outputs: it
+    assumes that the logged outputs drive the motors, and is dropped where they may not. brief: follows its rotors on a ground station's
+    screen, in 30 letters. headline: for a pilot. reason: of the verdict. began: as the beginning of a loss of control. now, past: a
+    rotor's note while it lasts, and after it; for an event with several explanations, without such words in `now`, only its own rotors
+    are suspects. advice: recommended action. watch: a line on the screen while the vehicle flies."""
 
     number: int
     name: str
@@ -79,6 +79,7 @@ class Kind(NamedTuple):
     weight: Weight = Weight.OUTSIDE
     span: Span = Span.STAYS
     weakens: bool = False
+    impairs: bool = False
     by_outputs: bool = True
     brief: str = ""
     headline: Words = _HEADLINE

@@ -34,7 +34,7 @@ SLOW_RESPONSE = "slow_response"
 register(
     Kind(
         18, SLOW_RESPONSE, "slow motor response", "a motor follows its commands later than the others", Weight.FAULT, Lasting.LASTS,
-        brief="slow response",
+        impairs=True, brief="slow response",
         headline=Words("{who} has followed its commands too slowly since {at}{again}."),
         now=Words("slow since {at}"), past=Words("was slow from {at} to {end}"),
         advice=Words(
