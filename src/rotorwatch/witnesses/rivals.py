@@ -45,7 +45,7 @@ register(
 )  # fmt: skip
 SOURCE = Source("rivals", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
-SHORTEST_S = 3.0  # of motion after the onset
+SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 SURE, CREDIBLE = 0.99, 0.05  # probabilities from which an open claim becomes an event, and below which it is dropped
 CERTAIN = 1.0 - 1e-8  # the noise that a flight has taught holds its slow changes, so that the motion says little of a loss that grows
@@ -61,6 +61,7 @@ ELSE = (
       for force, lasts in ((10.0, 1.0), (10.0, 3.0), (3.0, 10.0), (10.0, 10.0), (3.0, np.inf))),
 )  # fmt: skip
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
+TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
 LATES_S = (0.08, 0.2)  # of a slow motor
 # Of the scan: evidence beyond any other rotor's, twice in nats; by which the onset's may be lower; lag; least information.
@@ -77,7 +78,7 @@ class Rival(NamedTuple):
     @property
     def weak(self) -> tuple[int, ...]:
         """The rotors that lose thrust, from 0."""
-        return () if self.how.late else self.how.rotors
+        return () if self.how.late or self.how.turned else self.how.rotors
 
 
 def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
@@ -85,6 +86,7 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
     comes first."""
     rest = [Rival(Explanation(), NOTHING), *(Rival(e, OTHER) for e in ELSE)]
     rest += [Rival(Explanation((i,), end_s, late=late), SLOW) for i in range(n) for late in LATES_S]
+    rest += [Rival(Explanation((i,), end_s, turned=TURNS), SLOW) for i in range(n)]
     singles = [Rival(Explanation((i,), end_s)) for i in range(n) if (i,) != claim]
     if not claim:
         return [*rest, *singles]
@@ -95,9 +97,12 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
 
 
 def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
-    """The loss together with the likeliest of what else moves the vehicle."""
-    others = sorted((k for k, r in enumerate(them) if r.how in ELSE), key=lambda k: -logs[k])
-    return [Rival(them[k].how._replace(rotors=claim, end_s=end_s), BESIDE) for k in others[:COMPANIONS]]
+    """The loss together with the likeliest of what else moves the vehicle, and so the likeliest slow rotor or turned mount."""
+    others = sorted((k for k, r in enumerate(them) if r.how in ELSE), key=lambda k: -logs[k])[:COMPANIONS]
+    odd = max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])
+    own = [Rival(them[k].how._replace(rotors=claim, end_s=end_s), BESIDE) for k in others]
+    same = {name: getattr(them[odd].how, name) for name in ("rotors", "end_s", "late", "turned")}
+    return [*own, *(Rival(them[k].how._replace(**same), them[odd].weight + BESIDE) for k in others)]
 
 
 class Weighed(NamedTuple):
@@ -126,7 +131,9 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
     where = span(table, B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
-    if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S or min(end_s, until) - event.onset_s < SHORTEST_S:
+    if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S:
+        return None
+    if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
         return None
     where = _in_time(where)
     them = rivals(B.shape[1], claim, end_s) + [Rival(Explanation(who, end_s)) for who in also if len(who) > 1]
@@ -186,18 +193,21 @@ def _hear(view: View, events: Events) -> Events:
     open_: list[Event] = []
     for e in events:
         near_fall = any(e.onset_s <= t <= e.detected_s + FALL_S for t in view.lost)
-        if any(k.end_s is None and k.kind == e.kind == LOSS and k.rotors == e.rotors for k in kept):
+        if e.kind == LOSS and any(k.end_s is None and k.kind in (LOSS, SLOW_RESPONSE) and k.rotors == e.rotors for k in kept):
             continue  # an earlier one lasts
-        found = None if e.kind != LOSS or near_fall or "asked" in e.extra else weigh(view, e, events)
+        settled = e.kind != LOSS or near_fall or "asked" in e.extra
+        found = None if settled else weigh(view, e, events)
         if found is None:
-            kept.append(e)
+            if settled or _total(e) or e.alternatives or sum(e.rotors == other.rotors for other in events if other.kind == LOSS) > 1:
+                kept.append(e)
+            else:  # no motion could have refuted it
+                open_.append(_opened(e, e.probability))
         elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > 0.5:
             kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
         elif found.none > (CERTAIN if "grew_until_s" in e.extra else SURE if e.alternatives else CLEAR / (1.0 + CLEAR)):
             view.warnings.append(_warning(e))
         elif found.none > 1.0 / (1.0 + CLEAR) and not e.alternatives:
-            until = e.detected_s if e.end_s is None else e.end_s
-            open_.append(residual_evidence.claim(e.rotors, e.onset_s, until, e.interval, found.claim))
+            open_.append(_opened(e, found.claim))
         else:
             kept.append(_named(e, found))
     accused = bool(open_) or any(e.means.accuses for e in kept)
@@ -210,6 +220,17 @@ def _hear(view: View, events: Events) -> Events:
         kept += _settled(view, c, kept)[0]
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
+
+
+def _total(event: Event) -> bool:
+    """True for a loss that may be total: it is seen at once."""
+    return any(high >= 1.0 for _, high in event.interval)
+
+
+def _opened(event: Event, probability: float) -> Event:
+    """A loss as an open claim."""
+    until = event.detected_s if event.end_s is None else max(event.end_s, event.onset_s)
+    return residual_evidence.claim(event.rotors, event.onset_s, until, event.interval, probability)
 
 
 def _residual(claim: Event) -> bool:

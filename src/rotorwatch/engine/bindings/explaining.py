@@ -20,16 +20,17 @@ NEVER = 1 << 30  # a tick
 
 class Explanation(NamedTuple):
     """rotors: those that lose thrust, from 0; end_s: when they have it again; grows: walk of the loss, 1 per sqrt(s). gives: standard
-    deviation of a thrust that they give whatever they are commanded; late: s by which they follow their commands more slowly, instead of
-    a loss. step: standard deviation of a step of the trim of each axis, in those of this flight's disturbances. force: factor of the
-    disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever: by which it yaws the vehicle in a side force;
-    force_s: s for which these last."""
+    deviation of a thrust that they give whatever they are commanded; late: s by which they follow their commands more slowly, instead
+    of a loss; turned: standard deviation of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of
+    the trim of each axis, in those of this flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and
+    pitch [hover thrusts per sqrt(s)], lever: by which it yaws the vehicle in a side force; force_s: s for which these last."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
     grows: float = 0.0
     gives: float = 0.0
     late: float = 0.0
+    turned: float = 0.0
     step: float = 0.0
     force: float = 1.0
     drift: float = 0.0
@@ -100,10 +101,13 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     for first in range(1, max(len(them), 2), PLACES - 1):
         group = [them[0], *them[first : first + PLACES - 1]]
         rows = ENGINE.array(explanations.Explanation, len(group))
-        columns = {name: np.array([getattr(e, name) for e in group]) for name in ("grows", "gives", "late", "force", "drift", "lever")}
+        columns = {
+            name: np.array([getattr(e, name) for e in group]) for name in ("grows", "gives", "late", "turned", "force", "drift", "lever")
+        }
         rows.fill(
             rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),
-            calm=np.array([tick(begin + e.force_s) for e in group]), step=np.array([e.step * where.width for e in group]), **columns,
+            calm=np.array([tick(begin + e.force_s) for e in group]),
+            step=np.array([e.step * where.width for e in group]), **columns,
         )  # fmt: skip
         ENGINE.call(explanations.explain, plant, ENGINE.new(estimator.Estimator), noise, len(time), *tables, where.onset, len(group), rows)
         sd = np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))

@@ -21,7 +21,7 @@ from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL, THETA, YAW, Inputs, Plant, entry, set_plant
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL, THETA, YAW, Inputs, Plant, Rows, entry, set_plant
 from rotorwatch.engine.intake.ticks import JUDGE
 
 WIDTH = 0.5  # standard deviation of a loss before the data
@@ -35,6 +35,7 @@ class Explanation(Struct):
     end: int = 0  # tick at which they have it again
     grows: Real = 0.0  # walk of the loss, 1 per sqrt(s)
     late: Real = 0.0  # s by which their thrust lags behind the command, instead of a loss; 0: they lose thrust
+    turned: Real = 0.0  # standard deviation of the yaw by their turned mounts, as a share of their thrust's in B, instead of a loss
     gives: Real = 0.0  # standard deviation of the thrust that they give whatever they are commanded, hover thrusts; 0: they follow
     step = array(REAL, 4)  # standard deviation of a step of the trim, hover thrusts
     force: Real = 1.0  # factor of the disturbances
@@ -105,7 +106,10 @@ def explain(
             _lag(p, them[k], now, t >= onset, e.measured)
             if t >= onset and them[k].lever > 0.0:
                 _lever(one, them[k], now, e.measured)
-            one.update(p, e.rows, e.measured, e.seen.gain_share)
+            if them[k].turned > 0.0 and t >= begin:
+                _yaws(p, them[k], e.rows, e.measured, one, e.seen.gain_share)
+            else:
+                one.update(p, e.rows, e.measured, e.seen.gain_share)
             if t >= onset:
                 for a in range(4):
                     if counts[a]:
@@ -134,7 +138,8 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
         if (how.rotors & (1 << i)) == 0 or how.late > 0.0:
             continue
         if begins:
-            one.P[entry(THETA + i, THETA + i)] += WIDTH * WIDTH
+            wide = how.turned if how.turned > 0.0 else WIDTH
+            one.P[entry(THETA + i, THETA + i)] += wide * wide
             one.active[i] = True
             if how.gives > 0.0:
                 one.forget(p, THETA + i)
@@ -162,6 +167,20 @@ def _lag(p: Plant, how: Explanation, now: Inputs, lags: bool, m: Measured) -> No
         for a in range(4):
             if m.counts[a]:
                 m.y[a] -= p.effect[a][i] * (now.thrust[i] - how.thrust[i])
+
+
+def _yaws(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_share: Reals) -> None:
+    """Update an explanation whose rotors only yaw the vehicle."""
+    kept = local(REAL, 4, ROTORS)
+    for a in range(4):
+        for i in range(p.rotors):
+            kept[a][i] = h.h[a][THETA + i]
+            if a != YAW and (how.rotors & (1 << i)) != 0:
+                h.h[a][THETA + i] = 0.0
+    one.update(p, h, m, gain_share)
+    for a in range(4):
+        for i in range(p.rotors):
+            h.h[a][THETA + i] = kept[a][i]
 
 
 def _lever(one: Branch, how: Explanation, now: Inputs, m: Measured) -> None:
