@@ -127,9 +127,26 @@ def test_an_open_claim_becomes_an_event_or_goes():
     assert heard(flight(trim=lambda time: np.outer(time > ONSET_S, WIND)), (), [claim(1, kind=EVIDENCE)])[:2] == ((), ())
 
 
-def test_too_little_motion_decides_nothing():
+def test_what_no_motion_could_have_refuted_is_open_unless_it_may_be_total():
     late = claim(1, SECONDS - 2.0)
-    assert heard(flight(), [late])[0] == (late,)
+    kept, open_, _ = heard(flight(), [late])
+    assert not kept and [(c.kind, c.rotors) for c in open_] == [(EVIDENCE, (1,))]
+    total = replace(late, loss=(0.95,), interval=((0.85, 1.0),))
+    assert heard(flight(), [total])[:2] == ((total,), ())
+
+
+def test_a_slow_motor_is_named():
+    (event,), _, _ = heard(flight(late_s=0.15, rotor=1), ())
+    assert (event.kind, event.rotors) == (rivals.SLOW_RESPONSE, (2,)) and event.onset_s == pytest.approx(ONSET_S, abs=3.0)
+    assert event.means.accuses and not event.means.weakens
+
+
+def test_a_turned_mount_is_no_loss():
+    def turned(time):
+        return np.outer(time > ONSET_S, [0.0, 0.0, 0.3, 0.0])
+
+    found = rivals.weigh(view(flight(trim=turned)), claim(1), ())
+    assert found is not None and found.none > 0.9
 
 
 def test_explanations_are_alike_until_the_onset_and_independent_of_their_order():

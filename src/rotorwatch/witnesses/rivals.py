@@ -266,11 +266,12 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
     score = np.cumsum(((weight * out.innovation) @ B * quick)[::-1], axis=0)[::-1]
     information = np.cumsum((weight @ B**2 * quick**2)[::-1], axis=0)[::-1]
     nats = np.where(information > INFORMATION, score * abs(score) / np.maximum(information, 1e-9), 0.0)
-    best = nats.max(axis=0)
-    rotor = int(np.argmax(best))
-    if best[rotor] - np.delete(best, rotor).max(initial=0.0) < SUSPECTS:
+    ahead = nats - np.stack([np.delete(nats, i, axis=1).max(axis=1, initial=0.0) for i in range(B.shape[1])], axis=1)
+    rotor = int(np.argmax(ahead.max(axis=0)))
+    most = float(ahead[:, rotor].max())
+    if most < SUSPECTS:
         return []
-    since = np.flatnonzero(nats[:, rotor] > best[rotor] - LATELY)[-1]
+    since = np.flatnonzero(ahead[:, rotor] > most - LATELY)[-1]
     onset = float(table.command_time[since])
     return [residual_evidence.claim((rotor + 1,), onset, float(table.time[-1]), source=SOURCE)]
 
