@@ -63,6 +63,7 @@ ELSE = (
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
+CAPS = (0.5, 0.75, 0.9)  # quantiles of a rotor's commands that may be its cap
 LATES_S = (0.08, 0.2)  # of a slow motor
 # Of the scan: evidence beyond any other rotor's, twice in nats; by which the onset's may be lower; lag; least information.
 SUSPECTS, LATELY, SLOWS_S, INFORMATION = 60.0, 15.0, 0.1, 20.0
@@ -78,12 +79,12 @@ class Rival(NamedTuple):
     @property
     def weak(self) -> tuple[int, ...]:
         """The rotors that lose thrust, from 0."""
-        return () if self.how.late or self.how.turned else self.how.rotors
+        return () if self.how.late or self.how.turned or self.how.cap else self.how.rotors
 
 
-def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
+def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Sequence[float] = ()) -> list[Rival]:
     """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of: it
-    comes first."""
+    comes first; caps: thrusts that may be the most that they give, hover thrusts."""
     rest = [Rival(Explanation(), NOTHING), *(Rival(e, OTHER) for e in ELSE)]
     rest += [Rival(Explanation((i,), end_s, late=late), SLOW) for i in range(n) for late in LATES_S]
     rest += [Rival(Explanation((i,), end_s, turned=TURNS), SLOW) for i in range(n)]
@@ -91,7 +92,7 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float) -> list[Rival]:
     if not claim:
         return [*rest, *singles]
     own = [Rival(Explanation(claim, end_s)), Rival(Explanation(claim)), Rival(Explanation(claim, end_s, grows=GROWS), BESIDE)]
-    own += [Rival(Explanation(claim, end_s, gives=2.0), STUCK)]
+    own += [Rival(Explanation(claim, end_s, gives=2.0), STUCK), *(Rival(Explanation(claim, end_s, cap=cap), STUCK) for cap in caps)]
     pairs = [Rival(Explanation((*claim, i), end_s), PAIR) for i in range(n) if len(claim) == 1 and i not in claim]
     return [*own, *rest, *singles, *pairs]
 
@@ -136,7 +137,8 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
         return None
     where = _in_time(where)
-    them = rivals(B.shape[1], claim, end_s) + [Rival(Explanation(who, end_s)) for who in also if len(who) > 1]
+    caps = np.quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAPS) if claim else ()
+    them = rivals(B.shape[1], claim, end_s, caps) + [Rival(Explanation(who, end_s)) for who in also if len(who) > 1]
     fits = compare(where, [r.how for r in them])
     logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
     if claim:
@@ -148,7 +150,8 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     share /= share.sum()
     weak = [tuple(sorted(i for i in r.weak if f.loss[i] > 0.0)) for f, r in zip(fits, them)]
     late = [r.how.rotors if r.how.late else () for r in them]
-    mine = np.array([bool(claim) and (any(set(c) <= set(w) for c in (claim, *also)) or claim == slow) for w, slow in zip(weak, late)])
+    odd = [r.how.rotors if r.how.late or r.how.cap else () for r in them]
+    mine = np.array([bool(claim) and (any(set(c) <= set(w) for c in (claim, *also)) or claim == who) for w, who in zip(weak, odd)])
     none = np.array([not w for w in weak]) & ~mine
     rest = sorted(set(weak) - {w for w, own in zip(weak, mine) if own} - {()})
     best = {w: max((k for k in range(len(them)) if weak[k] == w), key=lambda k: share[k]) for w in rest}
@@ -249,7 +252,7 @@ def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Ev
         return [_event(view, claim, best, found)], []
     if found.slow[rotor] > SURE and rotor + 1 in claim.rotors:
         return [_slow(claim.onset_s, claim.onset_s + AFTER_S, rotor + 1, found)], []
-    return [], [claim] if share > CREDIBLE else []
+    return [], [claim] if share > (1.0 - CERTAIN if claim.source.name == event_rows.TRIM.name else CREDIBLE) else []
 
 
 def _suspects(view: View, events: Sequence[Event]) -> list[Event]:

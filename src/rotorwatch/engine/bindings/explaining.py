@@ -30,6 +30,7 @@ class Explanation(NamedTuple):
     grows: float = 0.0
     gives: float = 0.0
     late: float = 0.0
+    cap: float = 0.0
     turned: float = 0.0
     step: float = 0.0
     force: float = 1.0
@@ -102,7 +103,8 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
         group = [them[0], *them[first : first + PLACES - 1]]
         rows = ENGINE.array(explanations.Explanation, len(group))
         columns = {
-            name: np.array([getattr(e, name) for e in group]) for name in ("grows", "gives", "late", "turned", "force", "drift", "lever")
+            name: np.array([getattr(e, name) for e in group])
+            for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever")
         }
         rows.fill(
             rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),

@@ -1,7 +1,7 @@
 """Explanations of one change, compared on all motion before and after it.
 
 Each explanation is a filter of its own (kalman.py) over the same ticks. They are alike until the onset. From then on an explanation may
-hold a loss of some rotors, a rotor stuck at one thrust or slower than before, a step or a drift of the trim, and a free wrench:
+hold a loss of some rotors, a rotor stuck at one thrust, capped, or slower than before, a step or a drift of the trim, and a free wrench:
 disturbances `force` times as strong as in the rest of the flight, as the ground, a tether, a wake or a gust cause. Its
 evidence is the likelihood of all four axes after the onset,
 
@@ -35,6 +35,7 @@ class Explanation(Struct):
     end: int = 0  # tick at which they have it again
     grows: Real = 0.0  # walk of the loss, 1 per sqrt(s)
     late: Real = 0.0  # s by which their thrust lags behind the command, instead of a loss; 0: they lose thrust
+    cap: Real = 0.0  # most thrust that they give, hover thrusts, instead of a loss; 0: as much as commanded
     turned: Real = 0.0  # standard deviation of the yaw by their turned mounts, as a share of their thrust's in B, instead of a loss
     gives: Real = 0.0  # standard deviation of the thrust that they give whatever they are commanded, hover thrusts; 0: they follow
     step = array(REAL, 4)  # standard deviation of a step of the trim, hover thrusts
@@ -135,7 +136,7 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
     if ends:
         _read(p, one, how)
     for i in range(p.rotors):
-        if (how.rotors & (1 << i)) == 0 or how.late > 0.0:
+        if (how.rotors & (1 << i)) == 0 or how.late > 0.0 or how.cap > 0.0:
             continue
         if begins:
             wide = how.turned if how.turned > 0.0 else WIDTH
@@ -158,8 +159,12 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
 
 
 def _lag(p: Plant, how: Explanation, now: Inputs, lags: bool, m: Measured) -> None:
-    """Take from the commanded wrench what rotors that lag do not give yet."""
+    """Take from the commanded wrench what rotors that lag do not give yet, and what is beyond a cap."""
     for i in range(p.rotors):
+        if (how.rotors & (1 << i)) != 0 and how.cap > 0.0 and lags:
+            for a in range(4):
+                if m.counts[a]:
+                    m.y[a] -= p.effect[a][i] * max(now.thrust[i] - how.cap, 0.0)
         if (how.rotors & (1 << i)) == 0 or how.late <= 0.0:
             continue
         follows = 1.0 - exp(-p.dt / how.late) if lags and now.valid[0] else 1.0
