@@ -12,7 +12,7 @@ from rotorwatch.engine.motion.ground_contact import on_ground
 from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import EVIDENCE, LOSS
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE
 from rotorwatch.witnesses import rivals
 from rotorwatch.witnesses.witness import View
 
@@ -137,7 +137,7 @@ def test_what_no_motion_could_have_refuted_is_open_unless_it_may_be_total():
 
 def test_a_slow_motor_is_named():
     (event,), _, _ = heard(flight(late_s=0.15, rotor=1), ())
-    assert (event.kind, event.rotors) == (rivals.SLOW_RESPONSE, (2,)) and event.onset_s == pytest.approx(ONSET_S, abs=3.0)
+    assert (event.kind, event.rotors) == (SLOW_RESPONSE, (2,)) and event.onset_s == pytest.approx(ONSET_S, abs=3.0)
     assert event.means.accuses and not event.means.weakens
 
 

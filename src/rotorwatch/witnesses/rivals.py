@@ -26,11 +26,10 @@ from rotorwatch.engine.events.decisions import CLEAR
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, Kind, Weight, Words, register
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
-SLOW_RESPONSE = "slow_response"
 register(
     Kind(
         18, SLOW_RESPONSE, "slow motor response", "a motor follows its commands later than the others", Weight.FAULT, Lasting.LASTS,
@@ -137,7 +136,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
         return None
     where = _in_time(where)
-    caps = np.quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAPS) if claim else ()
+    caps = np.quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAPS).tolist() if claim else ()
     them = rivals(B.shape[1], claim, end_s, caps) + [Rival(Explanation(who, end_s)) for who in also if len(who) > 1]
     fits = compare(where, [r.how for r in them])
     logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
