@@ -107,13 +107,13 @@ def diagnose(
     flight = plausible.checked(flight)
     clock.lap("read_s")
     vehicle = baselines.vehicle_of(vehicle)
-    if estimator != "default":
-        aerobatic.decline(flight, "the published methods model hover only; leave out the estimator.", vehicle)
     if not 0.0 < matters <= 1.0:
         raise ConfigError(f"A loss that matters is a share above 0 and up to 1, not {matters:g}.")
     prepared = PREPARED if estimator == "default" else OTHERS_PREPARED
     log = prepare(flight, vehicle, baseline, clock, portion(tell, READ, prepared, "preparing"))
     log = log._replace(matters=matters)
+    if estimator != "default" and not log.hovers:
+        raise ConfigError(f"{aerobatic.named(flight)} does not hover: the published methods model hover only; leave out the estimator.")
     if log.table is None:
         return _no_flight(log, clock)
     tell(prepared, "preparing the estimator (built the first time)")

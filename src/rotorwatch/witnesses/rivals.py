@@ -281,7 +281,8 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
 def _named(event: Event, found: Weighed) -> Event:
     """The event with the rotors that explain the motion nearly as well, and without an end that the motion denies."""
     near = [tuple(i + 1 for i in sorted(who)) for who, p in found.others.items() if p > found.claim / CLEAR]
-    event = replace(event, alternatives=(*event.alternatives, *(s for s in near if s not in event.alternatives)))
+    more = (s for s in near if s not in event.alternatives)
+    event = replace(event, alternatives=(*event.alternatives, *more), probability=min(event.probability, found.claim))
     return replace(event, end_s=None) if found.lasts > np.log(SURE / (1.0 - SURE)) else event
 
 

@@ -115,7 +115,12 @@ def decline(flight: Flight, why: str, vehicle: Vehicle | None = None) -> None:
     if flown_by_rates(flight) or min((flight[n].rate_hz for n in ("motors", "gyro") if flight.has(n)), default=0.0) >= LEAST_HZ:
         craft = vehicle or airframes.identify(flight)
         if applies(flight, observe(flight, craft, airborne(flight), READY_KNOWN_S)):
-            raise ConfigError(f"{flight.name or 'The log'} does not hover: {why}")
+            raise ConfigError(f"{named(flight)} does not hover: {why}")
+
+
+def named(flight: Flight) -> str:
+    """The log, as a sentence begins with it."""
+    return flight.name or "The log"
 
 
 def lacks(flight: Flight) -> tuple[str, ...]:
