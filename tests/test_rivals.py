@@ -136,7 +136,7 @@ def test_what_no_motion_could_have_refuted_is_open_unless_it_may_be_total():
 
 
 def test_a_slow_motor_is_named():
-    (event,), _, _ = heard(flight(late_s=0.15, rotor=1), ())
+    (event,), _, _ = heard(flight(late_s=0.3, rotor=1), ())
     assert (event.kind, event.rotors) == (SLOW_RESPONSE, (2,)) and event.onset_s == pytest.approx(ONSET_S, abs=3.0)
     assert event.means.accuses and not event.means.weakens
 

@@ -8,8 +8,8 @@ evidence log p_e of `engine.estimator.explanations` and a prior log weight, and
     P(loss of these rotors) = sum of w_e p_e over explanations with it / sum over all
 
 Where the rest is ten times likelier, the loss is no event. Where it is not ten times less likely, it is an open claim, and where another
-rotor is not, that rotor is an alternative. An open claim of one rotor that is SURE becomes an event, and one that is not credible is
-dropped. A loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
+rotor is not, that rotor is an alternative. An open claim of one rotor that is SURE and exceeds all else by CLAIMED becomes an
+event, and one that is not credible is dropped. A loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ SOURCE = Source("rivals", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
 FALL_S = 4.0  # before a loss of control: what follows is the fall
+# Nats by which an explanation must exceed all others: an open claim's, to become an event; one that nothing but the scan has pointed to.
+# Real motors differ in lag, and controllers follow their own noise: healthy real flights reach 16.
+CLAIMED, SCANNED = 8.0, 25.0
 SURE, CREDIBLE = 0.99, 0.05  # probabilities from which an open claim becomes an event, and below which it is dropped
 CERTAIN = 1.0 - 1e-8  # the noise that a flight has taught holds its slow changes, so that the motion says little of a loss that grows
 # Log weights, relative to a loss of one particular rotor.
@@ -107,12 +110,14 @@ def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np
 
 class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
-    rotors, from 0; of a slow response of each rotor. lasts: log odds that the loss is not over. loss, sd: of each set."""
+    rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
+    lasts: log odds that the loss is not over. loss, sd: of each set."""
 
     claim: float
     none: float
     others: dict[tuple[int, ...], float]
     slow: np.ndarray
+    ahead: float
     lasts: float
     loss: dict[tuple[int, ...], np.ndarray]
     sd: dict[tuple[int, ...], np.ndarray]
@@ -150,6 +155,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     weak = [tuple(sorted(i for i in r.weak if f.loss[i] > 0.0)) for f, r in zip(fits, them)]
     late = [r.how.rotors if r.how.late else () for r in them]
     odd = [r.how.rotors if r.how.late or r.how.cap else () for r in them]
+    first = int(np.argmax(logs))
     mine = np.array([bool(claim) and (any(set(c) <= set(w) for c in (claim, *also)) or claim == who) for w, who in zip(weak, odd)])
     none = np.array([not w for w in weak]) & ~mine
     rest = sorted(set(weak) - {w for w, own in zip(weak, mine) if own} - {()})
@@ -159,6 +165,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
         float(share[none].sum()),
         {w: float(sum(share[k] for k in range(len(them)) if weak[k] == w)) for w in rest},
         np.array([sum(share[k] for k, who in enumerate(late) if who == (i,)) for i in range(B.shape[1])]),
+        float(logs[first] - max((x for x, w, who in zip(logs, weak, late) if (w, who) != (weak[first], late[first])), default=-np.inf)),
         fits[1].log_p - fits[0].log_p if claim else 0.0,
         {w: fits[k].loss[list(w)] for w, k in best.items()},
         {w: fits[k].sd[list(w)] for w, k in best.items()},
@@ -204,7 +211,7 @@ def _hear(view: View, events: Events) -> Events:
                 kept.append(e)
             else:  # no motion could have refuted it
                 open_.append(_opened(e, e.probability))
-        elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > 0.5:
+        elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > SURE and found.ahead > SCANNED:
             kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
         elif found.none > (CERTAIN if "grew_until_s" in e.extra else SURE if e.alternatives else CLEAR / (1.0 + CLEAR)):
             view.warnings.append(_warning(e))
@@ -247,9 +254,9 @@ def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Ev
         return [], [claim]
     best = max((who for who in found.others if set(who) <= {r - 1 for r in claim.rotors}), key=lambda w: found.others[w], default=None)
     share, rotor = 0.0 if best is None else found.others[best], int(np.argmax(found.slow))
-    if best is not None and share > SURE:
+    if best is not None and share > SURE and found.ahead > (SCANNED if claim.source is SOURCE else CLAIMED):
         return [_event(view, claim, best, found)], []
-    if found.slow[rotor] > SURE and rotor + 1 in claim.rotors:
+    if found.slow[rotor] > SURE and found.ahead > SCANNED and rotor + 1 in claim.rotors:
         return [_slow(claim.onset_s, claim.onset_s + AFTER_S, rotor + 1, found)], []
     return [], [claim] if share > (1.0 - CERTAIN if claim.source.name == event_rows.TRIM.name else CREDIBLE) else []
 
