@@ -45,6 +45,7 @@ register(
 SOURCE = Source("rivals", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
+LANDED_S = 1.0  # of the log after a landing
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 # Nats by which an explanation must exceed all others: an open claim's, to become an event; one that nothing but the scan has pointed to.
 # Real motors differ in lag, and controllers follow their own noise: healthy real flights reach 16.
@@ -207,10 +208,10 @@ def _hear(view: View, events: Events) -> Events:
         settled = e.kind != LOSS or near_fall or "asked" in e.extra
         found = None if settled else weigh(view, e, events)
         if found is None:
-            if settled or _total(e) or e.alternatives or sum(e.rotors == other.rotors for other in events if other.kind == LOSS) > 1:
-                kept.append(e)
-            else:  # no motion could have refuted it
-                open_.append(_opened(e, e.probability))
+            # At a touch-down no motion could have refuted it.
+            unsure = not (settled or _total(e) or e.alternatives) and _lands(view, e)
+            kept += [e] * (not unsure)
+            open_ += [_opened(e, e.probability)] * unsure
         elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > SURE and found.ahead > SCANNED:
             kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
         elif found.none > (CERTAIN if "grew_until_s" in e.extra else SURE if e.alternatives else CLEAR / (1.0 + CLEAR)):
@@ -229,6 +230,11 @@ def _hear(view: View, events: Events) -> Events:
         kept += _settled(view, c, kept)[0]
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
+
+
+def _lands(view: View, event: Event) -> bool:
+    """True for a loss that begins just before a landing."""
+    return any(a <= event.onset_s <= b < event.onset_s + SHORTEST_S and view.flight.duration > b + LANDED_S for a, b in view.air)
 
 
 def _total(event: Event) -> bool:
