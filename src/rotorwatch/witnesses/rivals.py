@@ -233,7 +233,9 @@ def _hear(view: View, events: Events) -> Events:
 
 
 def _lands(view: View, event: Event) -> bool:
-    """True for a loss that begins just before a landing."""
+    """True for a loss that begins just before a landing, or that is over as it begins."""
+    if event.end_s is not None and event.end_s <= event.onset_s:
+        return True
     return any(a <= event.onset_s <= b < event.onset_s + SHORTEST_S and view.flight.duration > b + LANDED_S for a, b in view.air)
 
 
