@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
@@ -42,7 +43,7 @@ def explains(flight: Flight, air: Spans, loss: Event) -> bool:
 
 def warning(claim: Event, why: str) -> str:
     """A sentence on a claim that is not counted."""
-    who = f"rotor{'s' if len(claim.rotors) > 1 else ''} {' and '.join(map(str, claim.rotors))}" if claim.rotors else "a motor mount"
+    who = rotors(claim.rotors) if claim.rotors else "a motor mount"
     return f"At {claim.onset_s:.1f} s {who} seemed to be at fault {why}, so it is not counted."
 
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.events.decisions import CLEAR
@@ -208,10 +209,10 @@ def _hear(view: View, events: Events) -> Events:
         settled = e.kind != LOSS or near_fall or "asked" in e.extra
         found = None if settled else weigh(view, e, events)
         if found is None:
-            # At a touch-down no motion could have refuted it.
-            unsure = not (settled or _total(e) or e.alternatives) and _lands(view, e)
-            kept += [e] * (not unsure)
-            open_ += [_opened(e, e.probability)] * unsure
+            if not (settled or _total(e) or e.alternatives) and _lands(view, e):  # no motion could have refuted it
+                open_.append(_opened(e, e.probability))
+            else:
+                kept.append(e)
         elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > SURE and found.ahead > SCANNED:
             kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
         elif found.none > (CERTAIN if "grew_until_s" in e.extra else SURE if e.alternatives else CLEAR / (1.0 + CLEAR)):
@@ -329,7 +330,7 @@ def _slow(onset_s: float, detected_s: float, rotor: int, found: Weighed) -> Even
 
 
 def _warning(loss: Event) -> str:
-    who = f"rotor{'s' if len(loss.rotors) > 1 else ''} {' and '.join(map(str, loss.rotors))}"
+    who = rotors(loss.rotors)
     return f"At {loss.onset_s:.1f} s {who} seemed to lose thrust, but the motion that followed is explained without it: not counted."
 
 

@@ -21,9 +21,10 @@ NEVER = 1 << 30  # a tick
 class Explanation(NamedTuple):
     """rotors: those that lose thrust, from 0; end_s: when they have it again; grows: walk of the loss, 1 per sqrt(s). gives: standard
     deviation of a thrust that they give whatever they are commanded; late: s by which they follow their commands more slowly, instead
-    of a loss; turned: standard deviation of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of
-    the trim of each axis, in those of this flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and
-    pitch [hover thrusts per sqrt(s)], lever: by which it yaws the vehicle in a side force; force_s: s for which these last."""
+    of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
+    of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
+    flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
+    by which it yaws the vehicle in a side force; force_s: s for which these last."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
