@@ -12,8 +12,8 @@ from rotorwatch.engine.motion.ground_contact import on_ground
 from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE
-from rotorwatch.witnesses import rivals
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, OVERRIDE, SLOW_RESPONSE
+from rotorwatch.witnesses import near_ground, rivals
 from rotorwatch.witnesses.witness import View
 
 DT, ONSET_S, SECONDS = 0.05, 25.0, 60.0
@@ -209,3 +209,15 @@ def test_the_ground_does_not_move_and_a_weak_rotor_is_not_the_ground():
     lands = lambda time: np.where(time > 55.0, 0.7, 1.0)  # noqa: E731
     assert grounded(lands, axial=lambda time: np.full_like(time, -1.5)) == []
     assert grounded(np.ones_like, loss=0.6) == []
+
+
+def test_what_begins_on_the_ground_is_not_counted():
+    ticks = flight()
+    thrust = ticks.thrust * np.where(ticks.time > 55.0, 0.7, 1.0)[:, None]
+    seen = view(replace(ticks, thrust=thrust))
+    claims = tuple(claim(2, onset, kind=kind) for onset in (30.0, 57.0) for kind in (LOSS, OVERRIDE))
+    assert near_ground.WITNESSES[0].hear(seen, claims) == claims[:2]
+    assert len(seen.warnings) == 2 and "57.0 s rotor 2" in seen.warnings[0] and "ground" in seen.warnings[0]
+    seen = view(replace(ticks, thrust=thrust))
+    seen.lost = (58.0,)  # a fall is no landing
+    assert near_ground.WITNESSES[0].hear(seen, claims) == claims
