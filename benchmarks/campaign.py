@@ -31,6 +31,7 @@ import numpy as np
 
 from rotorwatch import logs
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch.toolkit import Case
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import batch, open_world
 from rotorwatch_lab.campaign.plan import Plan
@@ -49,8 +50,7 @@ BY_LOGS = {
     "logs written": (logbook, "log"),
     "logs read": (logs, "from_bytes"),
     "prepared": (open_world, "prepare"),
-    "estimated": (open_world, "estimated"),
-    "judged": (open_world, "conclude"),
+    "judged": (Case, "answer"),
 }
 FEW = 8  # flights of a cell, of a plan that is judged by logs
 COMMAND = [sys.executable, "-m", "rotorwatch", "campaign"]
@@ -208,7 +208,7 @@ def exponent(sizes, costs) -> float:
 
 
 def phases(plan: Plan, cells: Sequence[int], flights: int, width: int, parts: dict) -> None:
-    """Print what each phase takes of so many flights of each cell. parts: what a phase is called -> (module, function)."""
+    """Print what each phase takes of so many flights of each cell. parts: what a phase is called -> (module or class, function)."""
     spent = dict.fromkeys(parts, 0.0)
 
     def timed(text: str, function: Callable) -> Callable:

@@ -336,13 +336,15 @@ def test_a_damaged_file_gives_one_sentence_or_a_verdict_that_is_never_fault(name
 
 @pytest.mark.parametrize("estimator", ["default", "ekf"])
 def test_a_flight_that_is_judged_twice_gets_the_same_answer(estimator):
-    """`judge` is a function of its arguments: no sentence is said twice."""
-    from rotorwatch.diagnose import estimated, judge, prepare
+    """A case is not changed by its answer, nor by being judged by other outputs: no sentence is said twice."""
+    from rotorwatch.diagnose import estimated, prepare
 
     ready = prepare(flight(sample("quadx_healthy_hover.bin.xz")))
     before = ready.assumptions, ready.warnings
     done = estimated(ready, estimator)
-    first, again = judge(ready, done), judge(ready, done)
+    judged = ready.by(done)
+    first, again = judged.answer(), judged.answer()
+    assert judged.assumptions == (*before[0], *done.assumptions)
     assert (first.assumptions, first.warnings, first.end.headline) == (again.assumptions, again.warnings, again.end.headline)
     assert (ready.assumptions, ready.warnings) == before
     assert estimated(ready, estimator).assumptions == done.assumptions

@@ -1,188 +1,121 @@
-"""From the events of a whole log to its verdict: bounds, open claims, doubts, and the conclusion."""
+"""From the claims of a case to its verdict: bounds, the reason why no more could be judged, and the conclusion."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rotorwatch.answer import conclusion, drift, health, ledger, places, slow, unjudged, unseen, wording
+from rotorwatch.answer import conclusion, health, places, unjudged, unseen, wording
+from rotorwatch.answer.unjudged import Unjudged
 from rotorwatch.base.arrays import median
-from rotorwatch.base.progress import portion
-from rotorwatch.case.conductor import compared, settled
-from rotorwatch.engine.bindings import event_rows, residual_evidence
-from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
-from rotorwatch.engine.bindings.program import TickOutput, threshold
-from rotorwatch.engine.diagnoser import Written
-from rotorwatch.engine.events.decisions import MATTERS
-from rotorwatch.engine.motion import trust
-from rotorwatch.engine.motion.air_spans import Gap
+from rotorwatch.case.estimated import Estimated
+from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.overrides import in_flight
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
-from rotorwatch.flight import Flight
+from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import CONTACT, EVIDENCE
-from rotorwatch.flight.method_series import MethodSeries
-from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses import witness
+from rotorwatch.flight.kinds import CONTACT
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
-from rotorwatch.witnesses.leaning import LEANS_S
-from rotorwatch.witnesses.upset import find as upset
-from rotorwatch.witnesses.witness import Events, Stage, View
+from rotorwatch.witnesses.witness import Events
+
+if TYPE_CHECKING:
+    from rotorwatch.case.conductor import Case
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Estimated:
-    """An estimator's outputs `out` at the ticks `table`. default: of the default estimator; written: the engine's records, if it ran
-    there. series: of a published method, its own estimate. assumptions: of the method. own_limit: `limit`, None: the default
-    estimator's."""
+class Claims(NamedTuple):
+    """events: those that stand as things look now. open: open claims that none of them explains. doubts: why the samples contradict
+    themselves. before: the events before comparison. whole: the comparison with healthy flights, None without. assumptions, warnings: of
+    the witnesses, sentences."""
 
-    table: Ticks
-    out: TickOutput
-    default: bool = True
-    written: Written | None = None
-    series: MethodSeries | None = None
+    events: Events
+    open: Events = ()
+    doubts: tuple[str, ...] = ()
+    before: Events = ()
+    whole: dict | None = None
     assumptions: tuple[str, ...] = ()
-    own_limit: float | None = None
-
-    @functools.cached_property
-    def limit(self) -> float:
-        """Log-likelihood ratio from which a loss is announced."""
-        return threshold(self.out.theta.shape[1], self.table.dt) if self.own_limit is None else self.own_limit
+    warnings: tuple[str, ...] = ()
 
 
-class Judgement(NamedTuple):
-    """end: the answer. doubts: why the log contradicts itself. evidence: open claims. whole: the comparison with healthy flights, None
-    without. assumptions, warnings: sentences for the answer."""
+class Bounds(NamedTuple):
+    """How much of a flight was judged, and how well. hidden (n,): largest undetectable loss of each rotor; pair: the same of two opposite
+    rotors. judged_s: seconds judged; judged_until: end of that [s]; blind_s: after each take-off, in which trim and noise are learned."""
+
+    hidden: np.ndarray
+    pair: float = 0.0
+    judged_s: float = 0.0
+    judged_until: float = np.inf
+    blind_s: float = 0.0
+
+
+class Answer(NamedTuple):
+    """end: the conclusion. doubts: why the samples contradict themselves. evidence: open claims. whole, assumptions, warnings: as of
+    `Claims`."""
 
     end: conclusion.Conclusion
-    doubts: tuple[str, ...]
-    evidence: tuple[Event, ...]
-    whole: dict | None
+    doubts: tuple[str, ...] = ()
+    evidence: Events = ()
+    whole: dict | None = None
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
 
-class LogCase(NamedTuple):
-    """A log ready for evaluation.
-
-    known: the vehicle holds data from healthy flights, from `source`; dynamics: their gains and noise, None where these do not fit this
-    log. air: ((start, end), ...) s of each flight, cut at impacts; written: the engine's records, estimated: the outputs of the method
-    that decides by default, table: its ticks; all None without a flight. ready_s: after take-off, in which trim and noise are learned.
-    hovers: False where only angular motion is evaluated (witnesses/aerobatic). assumptions, warnings: sentences. missing: commands that
-    the log lacks in the air. matters: loss of one rotor that a healthy flight must have excluded.
-    """
-
-    flight: Flight
-    vehicle: Vehicle
-    known: bool
-    dynamics: dict | None
-    source: str
-    air: Spans
-    upsets: tuple[upset.Judged, ...]
-    written: Written | None = None
-    estimated: Estimated | None = None
-    ready_s: float = 0.0
-    hovers: bool = True
-    assumptions: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    missing: tuple[Gap, ...] = ()
-    matters: float = MATTERS
-
-    @property
-    def table(self) -> Ticks | None:
-        """The ticks."""
-        return None if self.estimated is None else self.estimated.table
-
-    @property
-    def lost(self) -> tuple[float, ...]:
-        """Times at which control was lost [s]."""
-        return tuple(judged.onset for judged in self.upsets)
+def bounds(case: Case, claims: Claims) -> Bounds:
+    """The bounds of a log."""
+    done, steps = case.estimated, case.unseen
+    assert done is not None and steps is not None
+    judged = (done.table.mode == JUDGE) & done.table.valid.any(axis=1)
+    blind_s = case.ready_s if case.hovers else aerobatic.READY_S
+    until = _judged_until(done.table.time[judged], claims.events)
+    return Bounds(*_hidden(done, steps, case.hovers), float(judged.sum() * done.table.dt), until, blind_s)
 
 
-def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | None = None) -> Judgement:
-    """The verdict on a log by an estimator's outputs. progress: called with the finished share, 0..1."""
-    tell, table, out, B = progress or (lambda share: None), done.table, done.out, log.vehicle.effectiveness()
-    assert log.written is not None and log.table is not None
-    n, written, hover_model = B.shape[1], done.written, done.default and log.hovers
-    # Contacts of a vehicle that does not hover are its manoeuvres.
-    report = log.written.report if log.hovers else event_rows.Report(B).add(table, log.air).finish(log.air)
-    grown, turned = None, ()
-    if hover_model:
-        slow_changes = written.trim if written is not None else drift.look(out, table, B)
-        grown, turned = drift.growth(slow_changes), drift.mounts(slow_changes)
-
-    def merge(claims: Events) -> ledger.Merged:
-        return ledger.merge(claims, report, log.upsets, n, grown)
-
-    view = View(
-        log.flight, log.vehicle, log.air, (table,), B, out, hovers=log.hovers, default=done.default, known=log.known,
-        dynamics=log.dynamics, learned=None if written is None else written.learned, lost=log.lost,
-        merged=lambda claims: merge(claims).events,
-    )  # fmt: skip
-    losses = event_rows.read(out, table, B, None if written is None else written.losses)
-    others = (*map(event_rows.overridden, in_flight(log.written.overrides, log.air)), *turned)
-    merged, found = settled(losses, others, merge, view)
-    tell(0.1)
-    together = wording.together(merged.shared)
-    doubts = trust.contradictions(log.flight, log.vehicle, log.air, log.table, portion(tell, 0.1, 0.6))
-    doubts += tuple(text for text, lasts in together if lasts)
-    doubts += () if log.hovers else aerobatic.lacks(log.flight)
-    view.warnings += [text for text, lasts in together if not lasts]
-    view.consistent, view.events = not doubts, found
-    end_s = float(table.time[-1])
-    claims = (
-        *witness.ask(Stage.OPEN, view),
-        *slow.suspected(grown),
-        *residual_evidence.find(out, table, list_hypotheses(n), done.limit, found, B),
-        *residual_evidence.faint(merged.faint, found, end_s),
-    )
-    tell(0.7)
-    steps = unseen.bounds(out, table, B)
-    if hover_model:
-        found, claims = steps.doubted(found), (*claims, *steps.suspected(found, end_s))
-    pushed_s = min((e.onset_s for e in found if e.kind == CONTACT and e.end_s is None), default=np.inf)
-    claims = [c for c in claims if c.kind != EVIDENCE or c.onset_s < pushed_s - LEANS_S]
-    view.open = ledger.open_claims(claims, found)
-    if view.consistent:
-        found, view.open = compared(view, found, view.open)
-    tell(0.8)
-    if view.consistent and log.hovers:
-        found = witness.ask(Stage.SETUP, view, found)
-    end, evidence = _concluded(log, done, view, found, steps, doubts)
-    return Judgement(end, doubts, evidence, view.facts.get("whole_flight"), tuple(view.assumptions), tuple(view.warnings))
-
-
-def _concluded(
-    log: LogCase, done: Estimated, view: View, found: Events, steps: unseen.Unseen, doubts: tuple[str, ...]
-) -> tuple[conclusion.Conclusion, Events]:
-    """The conclusion, and the evidence that no event explains."""
-    table, out, B, flight, air = done.table, done.out, view.B, log.flight, log.air
-    judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    judged_s = float(judged.sum() * table.dt)
-    blind_s = log.ready_s if log.hovers else aerobatic.READY_S
-    hidden, hidden_pair = _hidden(out, table, steps, B, log.hovers)
-    trusted = log.hovers and not doubts
+def conclude(case: Case, claims: Claims, known: Bounds, air: Spans) -> Answer:
+    """The answer. air: the flights that it is about."""
+    done, doubts = case.estimated, claims.doubts
+    trends = health.trends(done.out, done.table, case.B, claims.before) if done is not None and case.hovers and not doubts else ()
+    missing = tuple(g for g in case.missing if g.lasts and air[-1][0] <= g.start <= air[-1][1])
     seen = conclusion.Evidence(
-        found, B.shape[1], hidden, hidden_pair, judged_s, view.open, places.names(log.vehicle.rotors), air,
-        health.trends(out, table, B, view.events) if trusted else (), log.hovers and "whole_flight" not in view.facts,
-        tuple(g for g in log.missing if g.lasts and g.start >= air[-1][0]), log.matters,
-        judged_until=_judged_until(table.time[judged], found), blind_s=blind_s,
+        claims.events, case.B.shape[1], known.hidden, known.pair, known.judged_s, claims.open, places.names(case.vehicle.rotors), air,
+        trends, case.hovers and claims.whole is None, missing, case.matters, judged_until=known.judged_until, blind_s=known.blind_s,
     )  # fmt: skip
-    short = judged_s < conclusion.LEAST_S or seen.vague
-    if log.hovers and (shaken := unjudged.shaken(flight, air)) is not None:
-        seen = seen._replace(hidden=None, unjudged=shaken)
-    elif not doubts and not short and seen.patchy:
-        seen = seen._replace(unjudged=unjudged.patchy(air, table, log.hovers))
-    elif not doubts and short:
-        stepped, needed = bool(np.max(steps.losses()) >= np.max(hidden)), blind_s + conclusion.LEAST_S
-        why = unjudged.find(air, table, judged_s, needed, log.hovers, conclusion.LEAST_S, stepped)
-        seen = seen._replace(unjudged=why)
-    return conclusion.conclude(seen, doubts), tuple(seen.residual_evidence)
+    if done is not None:
+        seen = _explained(case, seen, doubts)
+    evidence = tuple(seen.residual_evidence)
+    return Answer(conclusion.conclude(seen, doubts), doubts, evidence, claims.whole, claims.assumptions, claims.warnings)
+
+
+def _explained(case: Case, seen: conclusion.Evidence, doubts: Sequence[str]) -> conclusion.Evidence:
+    """The same with the reason why no more of a log could be judged."""
+    table, air, hovers = case.table, case.air, case.hovers
+    assert table is not None and case.unseen is not None and seen.hidden is not None
+    short = seen.judged_s < conclusion.LEAST_S or seen.vague
+    if hovers and (shaken := unjudged.shaken(case.flight, air)) is not None:
+        return seen._replace(hidden=None, unjudged=shaken)
+    if not doubts and not short and seen.patchy:
+        return seen._replace(unjudged=unjudged.patchy(air, table, hovers))
+    if not doubts and short:
+        stepped, needed = bool(np.max(case.unseen.losses()) >= np.max(seen.hidden)), seen.blind_s + conclusion.LEAST_S
+        return seen._replace(unjudged=unjudged.find(air, table, seen.judged_s, needed, hovers, conclusion.LEAST_S, stepped))
+    return seen
+
+
+def of_no_flight(case: Case, claims: Claims) -> Answer:
+    """The answer to a log without ticks."""
+    n, never = case.B.shape[1], sorted({rotor for gap in case.missing for rotor in gap.rotors})
+    why = _unflown(case, never)
+    seen = conclusion.Evidence(claims.events, n, places=places.names(case.vehicle.rotors), hops=case.air, unjudged=why)
+    wrong = any(e.means.wrong for e in claims.events)
+    return Answer(conclusion.conclude(seen), () if wrong else (why.why,))
+
+
+def _unflown(case: Case, never: Sequence[int]) -> Unjudged:
+    """Why there are no ticks. never: rotors without a command."""
+    if case.flight.has("motors") and case.flight.angular_rate() is None:
+        return unjudged.MOTIONLESS
+    if case.air:
+        return unjudged.silent(f"no command for {wording.rotors(never)}" if never else "too few motor outputs")
+    return unjudged.NEVER if case.flight.has("motors") else unjudged.SILENT
 
 
 def _judged_until(judged: np.ndarray, found: Sequence[Event]) -> float:
@@ -191,14 +124,14 @@ def _judged_until(judged: np.ndarray, found: Sequence[Event]) -> float:
     return min([float(judged[-1]) if judged.size else np.inf, *pushed])
 
 
-def _hidden(out, table: Ticks, seen: unseen.Unseen, B: np.ndarray, hovers: bool) -> tuple[np.ndarray, float]:
+def _hidden(done: Estimated, steps: unseen.Unseen, hovers: bool) -> tuple[np.ndarray, float]:
     """(n,) largest undetectable loss of each rotor: too small to be measured, or absorbed as a disturbance; and the same of two opposite
     rotors."""
-    judged = table.mode == JUDGE
+    out, judged = done.out, done.table.mode == JUDGE
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
     if not hovers:  # its bound covers all blocks so far; two opposite rotors at once are not tested
         return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
     measured = 1.96 * median(out.detectable[judged], axis=0)
-    single = np.minimum(1.0, np.maximum(measured, seen.losses()))
-    return single, min(1.0, seen.pair(event_rows.opposites(B)))
+    single = np.minimum(1.0, np.maximum(measured, steps.losses()))
+    return single, min(1.0, steps.pair(event_rows.opposites(steps.B)))

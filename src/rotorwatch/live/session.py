@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -89,7 +89,7 @@ class Session:
 
     def events(self) -> tuple[Event, ...]:
         """All events, as they look now."""
-        return () if self.case is None else self.case.events()
+        return () if self.case is None else self.case.claims().events
 
     @property
     def doubt(self) -> str:
@@ -121,7 +121,7 @@ class Session:
     @property
     def missing(self) -> tuple[Gap, ...]:
         """Commands that the link has not delivered for long, in the current or last flight."""
-        return () if self.case is None else self.case.driver.missing
+        return () if self.case is None else self.case.missing
 
     @property
     def unseen(self) -> str:
@@ -155,10 +155,6 @@ class Session:
         unseen = np.maximum(measured, self.case.unseen.losses()) if judged else np.ones_like(loss)
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
-
-    def weighed(self, found: Sequence[Event]) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
-        """`Case.weighed`."""
-        return (tuple(found), ()) if self.case is None else self.case.weighed(found)
 
     def blind(self) -> str:
         """Why nothing can be evaluated right now, in a few words; empty when it is evaluated."""

@@ -11,14 +11,14 @@ from datetime import datetime, timezone
 import numpy as np
 
 from rotorwatch import __version__
-from rotorwatch.answer import conclusion, places
+from rotorwatch.case.conductor import FINAL_S
+from rotorwatch.case.verdict import Bounds
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight import identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.session import Session
 
 LEAST_S = 5.0  # in the air: less is a motor test, unless control was lost
-FINAL_S = 5.0  # after a landing, within which announced events may be withdrawn
 GAP_S = 1.5  # between two points of a band; more is an unjudged gap
 
 
@@ -43,29 +43,16 @@ class Landings:
 
 def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float, float]) -> Diagnosis:
     """The Diagnosis of one flight from the live judge's events. rows: of its band (`live.Band`). hop: (start, end) [s]."""
-    assert session.vehicle is not None
+    assert session.case is not None
     start, end = hop
-    vehicle, about = session.vehicle, session.about
+    case, vehicle, about = session.case, session.case.vehicle, session.about
     rows_judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
     steps = np.diff([row[0] for row in rows_judged])
     hidden = np.ones(len(vehicle.rotors))
     for row in rows_judged:  # the bound of a healthy rotor covers the flight up to then
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
-    events, claims = session.weighed([e for e in session.events() if start <= e.detected_s <= end + FINAL_S])
-    names = places.names(vehicle.rotors)
-    judged_s = float(steps[steps < GAP_S].sum())
-    seen = conclusion.Evidence(
-        events,
-        len(vehicle.rotors),
-        hidden=hidden,
-        judged_s=judged_s,
-        claims=[claim for claim in claims if start <= claim.onset_s <= end],
-        places=names,
-        hops=(hop,),
-        missing=[gap for gap in session.missing if start <= gap.start <= end],
-        blind_s=rows_judged[0][0] - start if rows_judged else 0.0,
-    )
-    end_of = conclusion.conclude(seen)
+    judged_s, blind_s = float(steps[steps < GAP_S].sum()), rows_judged[0][0] - start if rows_judged else 0.0
+    end_of = case.answer(hop, Bounds(hidden, judged_s=judged_s, blind_s=blind_s)).end
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Diagnosis(
         flight={
@@ -75,9 +62,9 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
             "airborne_s": [round(start, 3), round(end, 3)], "hops": [[round(start, 3), round(end, 3)]], "profile": "diagnosed in flight",
         },
         verdict=end_of.verdict, reason=end_of.reason, rotors=end_of.rotors, events=end_of.events, common_mode={},
-        baseline="the first healthy part of this flight",
+        baseline=case.source,
         assumptions=(
-            *vehicle.assumptions,
+            *case.assumptions,
             "diagnosed in flight from telemetry: the vehicle's own log has more data and is diagnosed as a whole",
         ),
         warnings=(), timing={}, headline=end_of.headline, main=end_of.main, advice=end_of.advice, story=end_of.story,

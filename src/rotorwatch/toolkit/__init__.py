@@ -3,8 +3,9 @@
 `rotorwatch_lab` uses rotorwatch by this module, by `toolkit.commands` for its command line, and by the modules that hold data and
 conventions: `rotorwatch` itself, `.core`, `.errors`, `.flight`, `.airframes`, `.logs`, `.base`, `.stats`, `.detectors` and `.report`.
 
-diagnosis       diagnose, and its stages prepare -> LogCase, estimated -> Estimated, judge; Estimation, of an entry point
-                `rotorwatch.estimation`; Conclusion, of `judge`; events, what estimates announce; baselines, healthy flights that are given
+diagnosis       diagnose, and its stages prepare -> Case, estimated -> Estimated, `Case.by` and `Case.answer`; Estimation, of an entry
+                point `rotorwatch.estimation`; Conclusion, of an answer; events, what estimates announce; baselines, healthy flights that
+                are given
 flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUDGE and the times READY_S, READY_KNOWN_S, HOVER_LEARN_S and
                 LAG_S; cut_ticks; allocation: commands, thrusts and geometry; ambiguous_sets; attainable: thrusts and moments that a
                 vehicle can give; aerobatic: vehicles that do not hover; esc_telemetry
@@ -26,7 +27,8 @@ _PLACES = {
     "Conclusion": "answer.conclusion:Conclusion",
     "DAMPING": "engine.estimator.plant:DAMPING",
     "ENGINE": "engine.definition:ENGINE",
-    "Estimated": "case.verdict:Estimated",
+    "Case": "case.conductor:Case",
+    "Estimated": "case.estimated:Estimated",
     "Estimation": "diagnose:Estimation",
     "ExcitationNoise": "witnesses.null_space:Noise",
     "Exported": "export.projects:Exported",
@@ -37,7 +39,6 @@ _PLACES = {
     "Hypotheses": "engine.bindings.hypothesis_list:Hypotheses",
     "JUDGE": "engine.motion.tick_table:JUDGE",
     "LAG_S": "engine.motion.tick_table:LAG_S",
-    "LogCase": "case.verdict:LogCase",
     "LEARN": "engine.motion.tick_table:LEARN",
     "LOSS_WIDTH": "engine.estimator.hypotheses:LOSS_WIDTH",
     "NOTHING": "engine.estimator.hypotheses:NOTHING",
@@ -70,7 +71,6 @@ _PLACES = {
     "excitation_response": "witnesses.excitation_response",
     "export_default": "export.export_default",
     "fleet_judge": "fleet.flight_result",
-    "judge": "case.verdict:judge",
     "list_hypotheses": "engine.bindings.hypothesis_list:list_hypotheses",
     "noise_covariance": "witnesses.null_space:covariance",
     "null_space": "witnesses.null_space:null_space",
@@ -116,6 +116,7 @@ __all__ = [
     "SMALL_WIDTH",
     "TAU",
     "TOTAL_SHARE",
+    "Case",
     "Conclusion",
     "Estimated",
     "Estimation",
@@ -123,7 +124,6 @@ __all__ = [
     "Exported",
     "Given",
     "Hypotheses",
-    "LogCase",
     "Store",
     "TickOutput",
     "Ticks",
@@ -143,7 +143,6 @@ __all__ = [
     "excitation_response",
     "export_default",
     "fleet_judge",
-    "judge",
     "list_hypotheses",
     "noise_covariance",
     "null_space",
@@ -158,9 +157,8 @@ __all__ = [
 
 if TYPE_CHECKING:
     from rotorwatch.answer.conclusion import Conclusion as Conclusion
-    from rotorwatch.case.verdict import Estimated as Estimated
-    from rotorwatch.case.verdict import LogCase as LogCase
-    from rotorwatch.case.verdict import judge as judge
+    from rotorwatch.case.conductor import Case as Case
+    from rotorwatch.case.estimated import Estimated as Estimated
     from rotorwatch.diagnose import Estimation as Estimation
     from rotorwatch.diagnose import diagnose as diagnose
     from rotorwatch.diagnose import estimated as estimated

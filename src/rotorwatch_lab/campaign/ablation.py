@@ -27,8 +27,8 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.toolkit import DEFINITIONS, ENGINE, JUDGE, READY_S, Estimated, LogCase, Ticks, airborne, events, prepare, program
-from rotorwatch.toolkit import judge as conclude
+from rotorwatch.toolkit import DEFINITIONS, ENGINE, JUDGE, READY_S, Estimated, Ticks, airborne, events, prepare, program
+from rotorwatch.toolkit import Case as LogCase
 from rotorwatch_lab.campaign import batch, sequences
 from rotorwatch_lab.campaign.constants import TABLE
 from rotorwatch_lab.campaign.plan import Plan
@@ -191,7 +191,7 @@ def _said(case: Case, out: program.TickOutput) -> tuple[Event, ...]:
     """Losses that `diagnose` reports; for a surrogate the estimator's announcements."""
     if case.ready is None:
         return events.read(out, case.ticks, case.B)
-    reported = conclude(case.ready, Estimated(case.ticks, out)).end.events
+    reported = case.ready.by(Estimated(case.ticks, out)).answer().end.events
     return tuple(e for e in reported if e.means.weakens)
 
 

@@ -1,7 +1,7 @@
 """A batch of a campaign: flights of one cell simulated, logged, turned into ticks and diagnosed, side by side where possible.
 
-The simulator's log, in memory, goes through `diagnose` (`prepare`, `estimated`, `judge`); only published methods run over all flights of a
-batch at once.
+The simulator's log, in memory, goes through `diagnose` (`prepare`, `estimated`, `Case.answer`); only published methods run over all
+flights of a batch at once.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.toolkit import GROUND, LAG_S, Estimated, LogCase, Ticks, estimated, events, prepare, program
-from rotorwatch.toolkit import judge as conclude
+from rotorwatch.toolkit import GROUND, LAG_S, Case, Estimated, Ticks, estimated, events, prepare, program
 from rotorwatch_lab.campaign import methods, score
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.experiments import counting, limits
@@ -53,7 +52,7 @@ class Flown:
 
     number: int
     scenario: Scenario
-    ready: LogCase
+    ready: Case
     theta: np.ndarray
     lost_s: float | None = None
 
@@ -91,7 +90,7 @@ def rows(plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, E
     published = [name for name in plan.estimators if name != "default"]
 
     def row(label: str, f: Flown, estimate: Estimated, statistic, bound) -> dict:
-        end = conclude(f.ready, estimate).end
+        end = f.ready.by(estimate).answer().end
         raised = counting.alarms(end.events)
         results = score.estimator(label, f, estimate.out, statistic, raised, bound, plan, unasked(raised))
         return results | (score.answer(end) if estimate.default else {})

@@ -21,8 +21,7 @@ from rotorwatch import logs
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.toolkit import Conclusion, diagnose, estimated, prepare
-from rotorwatch.toolkit import judge as conclude
+from rotorwatch.toolkit import Conclusion, diagnose, prepare
 from rotorwatch_lab.campaign import batch, open_score, work
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.campaign.score import read_columns
@@ -73,7 +72,7 @@ def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
     if ready.table is None:
         answer = diagnose(flight)
         return answer, answer.flight["airborne_s"]
-    return conclude(ready, estimated(ready)).end, [round(ready.air[0][0], 3), round(ready.air[-1][1], 3)]
+    return ready.answer().end, [round(ready.air[0][0], 3), round(ready.air[-1][1], 3)]
 
 
 def run(

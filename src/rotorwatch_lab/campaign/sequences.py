@@ -24,7 +24,7 @@ import numpy as np
 from rotorwatch.base import files
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.toolkit import JUDGE, Ticks, judge
+from rotorwatch.toolkit import JUDGE, Ticks
 from rotorwatch_lab.campaign import batch
 from rotorwatch_lab.campaign.plan import Cell, drawn
 from rotorwatch_lab.campaign.summary import INDUCED_EDGES, by_speed
@@ -197,7 +197,7 @@ def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]
         return []
     rows = []
     for f, estimated in zip(flown, batch.by_default(flown)):
-        end = judge(f.ready, estimated).end
+        end = f.ready.by(estimated).answer().end
         accusing = [e for e in end.events if e.means.weakens]
         induced = induced_velocity(f.scenario)
         for s in states(f, accusing):

@@ -24,7 +24,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.toolkit import JUDGE, READY_KNOWN_S, READY_S, airborne, allocation, estimated, judge, prepare
+from rotorwatch.toolkit import JUDGE, READY_KNOWN_S, READY_S, airborne, allocation, prepare
 from rotorwatch_lab.experiments import counting, tools
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
@@ -257,9 +257,8 @@ def _judge(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...]
     ready = prepare(flight, vehicle)
     if ready.table is None:
         return (), 0.0
-    estimate = estimated(ready)
-    judged_s = float((estimate.table.mode == JUDGE).sum() * estimate.table.dt)
-    return counting.alarms(judge(ready, estimate).end.events), judged_s
+    judged_s = float((ready.table.mode == JUDGE).sum() * ready.table.dt)
+    return counting.alarms(ready.answer().end.events), judged_s
 
 
 def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:

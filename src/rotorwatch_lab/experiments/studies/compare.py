@@ -21,7 +21,7 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
-from rotorwatch.toolkit import JUDGE, Estimated, estimated, judge, program
+from rotorwatch.toolkit import JUDGE, Estimated, estimated, program
 from rotorwatch_lab.compiling.run import chosen, run
 from rotorwatch_lab.experiments import counting, tools
 from rotorwatch_lab.experiments.studies.compare_flights import Scene
@@ -109,7 +109,7 @@ def _trial(name: str, scene: Scene) -> dict:
     else:
         out, _ = published.judge(name, table, scene.B, hops=scene.hops)
         estimate = Estimated(table, out, default=False, own_limit=decide.LIMIT)
-    raised, out = counting.alarms(judge(scene.ready, estimate).end.events), estimate.out
+    raised, out = counting.alarms(scene.ready.by(estimate).answer().end.events), estimate.out
     judging = table.mode == JUDGE
     rotors = tuple(sorted(r for r, _, _ in scene.faults))
     onset = min((t for _, t, _ in scene.faults), default=np.inf)

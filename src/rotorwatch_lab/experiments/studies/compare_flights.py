@@ -21,7 +21,7 @@ from rotorwatch.base.physics import G0
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.toolkit import READY_S, LogCase, Ticks, aerobatic, airborne, allocation, prepare
+from rotorwatch.toolkit import READY_S, Case, Ticks, aerobatic, airborne, allocation, prepare
 from rotorwatch_lab.experiments.inject import inject
 from rotorwatch_lab.published import log_plant
 
@@ -42,7 +42,7 @@ class Scene:
 
     group: str
     name: str
-    ready: LogCase
+    ready: Case
     faults: tuple[tuple[int, float, float], ...]
 
     @property
