@@ -1,7 +1,8 @@
 """The kinds of events, one row each: texts, meaning for a rotor, and duration.
 
-All code that depends on the meaning of an event uses this table, so that a new kind is a row here and the code that finds it. A sentence is
-a template; `answer/wording.py` lists its fields.
+All code that depends on the meaning of an event uses this table, so that a new kind is a row and the code that finds it. The row of an
+event that one witness alone finds is in that witness's file; all others are here. A sentence is a template; `answer/wording.py` lists its
+fields.
 """
 
 from __future__ import annotations
@@ -11,14 +12,15 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "contact", "loss_of_control"
-ORDER, DESYNC = "motor_order", "desync"
-SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
-TURNED = "turned_mount"
-REPORTED = "autopilot_report"  # its row: witnesses/reports.py
-SLOW_RESPONSE = "slow_response"  # its row: witnesses/rivals.py
+ORDER, TURNED = "motor_order", "turned_mount"
 EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
+# Of these a witness holds the row: witnesses/aerobatic, esc, reports.py, healthy and rivals.py.
+DESYNC = "desync"
+SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
+REPORTED = "autopilot_report"
 AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
 STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
+SLOW_RESPONSE = "slow_response"
 UNKNOWN = -1  # number of a kind that the table lacks
 
 
@@ -119,18 +121,6 @@ class Kind(NamedTuple):
 _WRONG_WAY = "propellers or motors turn in the wrong direction."
 
 
-def _notice(number: int, name: str, noun: str, meaning: str, verb: str, part: str) -> Kind:
-    """A kind that ESC telemetry alone shows. verb: the motor's behaviour; part: the part to inspect."""
-    why = "before the next flight: its ESC telemetry changed in flight, although no loss of thrust was found."
-    past, advice = Words(f"{verb} since {{at}}"), Words(f"Inspect {part} {{who}} {why}")
-    return Kind(number, name, noun, meaning, Weight.NOTICE, brief=verb, headline=Words(verb), past=past, advice=advice)
-
-
-def _setup(number: int, name: str, noun: str, meaning: str, brief: str, advice: str) -> Kind:
-    """A kind of finding from outputs on the vehicle's build, load and setup: of no rotor, with its number in its reason."""
-    return Kind(number, name, noun, meaning, Weight.NOTICE, brief=brief, headline=Words("{Why}."), advice=Words(advice))
-
-
 ROWS = (
     Kind(
         0, LOSS, "loss of effectiveness", "a rotor lost effectiveness", Weight.FAULT, Span.LASTS, weakens=True,
@@ -185,28 +175,6 @@ ROWS = (
         ),
     ),
     Kind(
-        5, DESYNC, "motor desync", "a motor lost synchronisation briefly: commanded up, it gave no thrust for 30 to 500 ms, then recovered",
-        Weight.FAULT, Span.SPELLS, brief="desynced",
-        headline=Words("{motors} desynced {times} at {at}{stopped}."),
-        past=Words("desynced at {at}{in_all}", "may have desynced at {at}{in_all}"),
-        advice=Words(
-            "Do not fly again until {motors} and its ESC have been inspected: motor timing, demag compensation, ESC firmware, PWM "
-            "frequency, a worn bearing or loose bell, solder joints{log_speed}."
-        ),
-    ),
-    _notice(
-        6, SLOW, "motor slower than commanded", "a motor turns slower than commanded, by its ESC telemetry", "turns slower than commanded",
-        "motor, ESC, their connectors and supply wires of",
-    ),
-    _notice(
-        7, HIGH, "motor draws more current", "more current at the same speed than before: a bearing", "draws more current than before",
-        "the motor bearings of",
-    ),
-    _notice(
-        8, LOW, "motor draws less current", "less current at the same speed than before: a propeller", "draws less current than before",
-        "the propeller of",
-    ),
-    Kind(
         9, TURNED, "twisted motor mount", "more yaw command than before: a motor mount or an arm has twisted", Weight.NOTICE,
         brief="motor mount twisted",
         headline=Words(
@@ -217,30 +185,6 @@ ROWS = (
             "Inspect the mount and the arm of {who} before the next flight.",
             nameless="Inspect every motor mount and arm before the next flight: one has twisted, or a propeller's drag has changed.",
         ),
-    ),
-    _setup(
-        11, AT_LIMIT, "outputs at their limit", "outputs were at their limit for long", "outputs at their limit",
-        "Increase the thrust margin: less weight, a fresh battery, less wind, gentler climbs. Where only some motors are at their limit, "
-        "look for an off-centre load and twisted mounts.",
-    ),
-    _setup(
-        12, HEAVY, "low thrust margin", "hover takes nearly all of the thrust: too heavy, or a weak battery", "low thrust margin",
-        "Reduce weight, charge the battery, or fit stronger motors before the next flight: full thrust should be twice the weight.",
-    ),
-    _setup(
-        13, UNEVEN, "yaw imbalance", "rotors of one spin direction work harder since take-off: twisted mounts", "yaw imbalance",
-        "Align every motor upright and check the arms for twist; then compare propellers and ESC end points of both spin directions.",
-    ),
-    _setup(
-        14, STANDS_APART, "output offset", "an output is offset from what the mixer needs since take-off: ESC end points",
-        "output offset",
-        "Calibrate the end points of all ESCs alike. If the offset stays, swap this motor's propeller, and then the motor, with another "
-        "one's and see whether it moves with them.",
-    ),
-    _setup(
-        15, EXHAUSTED, "not enough thrust without a rotor", "the vehicle sank without a rotor because the others could not carry it",
-        "others at their limit",
-        "Reduce the weight if this vehicle must stay up without a rotor: `rotorwatch survive` gives the limit.",
     ),
     Kind(16, EVIDENCE, "unexplained evidence", "evidence against rotors that no event explains", Weight.OPEN, Span.SPELLS),
     Kind(

@@ -7,8 +7,22 @@ innovation.py  innovations of the motion and of the motor speeds in windows of 4
 desync.py      innovations that match a motor giving no thrust for 30 to 500 ms
 """
 
+from rotorwatch.flight.kinds import DESYNC, Kind, Span, Weight, Words, register
 from rotorwatch.witnesses.aerobatic.firmware import flown_by_rates
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
+
+register(
+    Kind(
+        5, DESYNC, "motor desync", "a motor lost synchronisation briefly: commanded up, it gave no thrust for 30 to 500 ms, then recovered",
+        Weight.FAULT, Span.SPELLS, brief="desynced",
+        headline=Words("{motors} desynced {times} at {at}{stopped}."),
+        past=Words("desynced at {at}{in_all}", "may have desynced at {at}{in_all}"),
+        advice=Words(
+            "Do not fly again until {motors} and its ESC have been inspected: motor timing, demag compensation, ESC firmware, PWM "
+            "frequency, a worn bearing or loose bell, solder joints{log_speed}."
+        ),
+    )
+)  # fmt: skip
 
 
 def _hear(view: View, events: Events) -> Events:

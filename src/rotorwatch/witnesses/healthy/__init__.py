@@ -12,7 +12,59 @@ import numpy as np
 from rotorwatch.answer import from_takeoff, ledger
 from rotorwatch.engine.motion.tick_table import GROUND
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN, Kind, Weight, Words, register
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness, adding
+
+
+def _setup(number: int, name: str, noun: str, meaning: str, brief: str, advice: str) -> Kind:
+    """A kind of finding from outputs on the vehicle's build, load and setup: of no rotor, with its number in its reason."""
+    return Kind(number, name, noun, meaning, Weight.NOTICE, brief=brief, headline=Words("{Why}."), advice=Words(advice))
+
+
+register(
+    _setup(
+        11,
+        AT_LIMIT,
+        "outputs at their limit",
+        "outputs were at their limit for long",
+        "outputs at their limit",
+        "Increase the thrust margin: less weight, a fresh battery, less wind, gentler climbs. Where only some motors are at their limit, "
+        "look for an off-centre load and twisted mounts.",
+    ),
+    _setup(
+        12,
+        HEAVY,
+        "low thrust margin",
+        "hover takes nearly all of the thrust: too heavy, or a weak battery",
+        "low thrust margin",
+        "Reduce weight, charge the battery, or fit stronger motors before the next flight: full thrust should be twice the weight.",
+    ),
+    _setup(
+        13,
+        UNEVEN,
+        "yaw imbalance",
+        "rotors of one spin direction work harder since take-off: twisted mounts",
+        "yaw imbalance",
+        "Align every motor upright and check the arms for twist; then compare propellers and ESC end points of both spin directions.",
+    ),
+    _setup(
+        14,
+        STANDS_APART,
+        "output offset",
+        "an output is offset from what the mixer needs since take-off: ESC end points",
+        "output offset",
+        "Calibrate the end points of all ESCs alike. If the offset stays, swap this motor's propeller, and then the motor, with another "
+        "one's and see whether it moves with them.",
+    ),
+    _setup(
+        15,
+        EXHAUSTED,
+        "not enough thrust without a rotor",
+        "the vehicle sank without a rotor because the others could not carry it",
+        "others at their limit",
+        "Reduce the weight if this vehicle must stay up without a rotor: `rotorwatch survive` gives the limit.",
+    ),
+)
 
 
 def _flights(view: View) -> tuple[Event, ...]:
