@@ -399,6 +399,10 @@ def test_a_live_vehicle_is_bounded_as_its_log_is():
     assert listed.verdict == "healthy"
     # The last ticks before the touch-down are judged once it is certain.
     np.testing.assert_allclose([r.since_takeoff[1] for r in listed.rotors], rows[-1][3], rtol=0.1, atol=0.002)
+    assert session.case is not None
+    session.case.consistency.doubt = "The outputs stand still while the vehicle turns."
+    doubted = landed.answer("one", session, rows, session.spans[0])
+    assert (doubted.verdict, doubted.reason) == ("inconclusive", session.case.consistency.doubt)
 
 
 def test_a_landed_vehicle_is_answered_as_its_log_is():

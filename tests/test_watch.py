@@ -18,7 +18,6 @@ from rotorwatch.engine.driver import Driver
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import READY_S
-from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.live import view
 from rotorwatch.live.alert_states import Changes
 from rotorwatch.live.replay import Replay
@@ -78,9 +77,6 @@ def replayed(flight, **options):
     return alerts, replay.watched
 
 
-OF_WHOLE_FLIGHTS = (AT_LIMIT, HEAVY, UNEVEN, STANDS_APART, EXHAUSTED)  # how outputs are set up: no link is asked for that
-
-
 def last_words(alerts):
     """What was said last of each event, in order of announcement, without those taken back."""
     said = {a["number"]: a for a in alerts if a["type"] == "event"}
@@ -92,7 +88,7 @@ def last_words(alerts):
 @pytest.mark.parametrize("name", LOGS)
 def test_a_log_replayed_gives_the_events_of_diagnose(name):
     flight = flight_of(name)
-    wanted = [e for e in diagnose(flight).to_dict()["events"] if e["kind"] not in OF_WHOLE_FLIGHTS]
+    wanted = diagnose(flight).to_dict()["events"]
     alerts, watched = replayed(flight)
     found = last_words(alerts)
     assert watched.trouble == ""

@@ -266,6 +266,11 @@ class Case:
         return self.written if self._whole else self.driver.diagnoser
 
     @property
+    def _from_takeoff(self) -> bool:
+        """True if the samples begin before the first take-off: witnesses of the whole flight then see all of it."""
+        return self._whole or (bool(self.air) and self.air[0][0] > self.now - WINDOW_S)
+
+    @property
     def _records(self) -> Diagnoser | Written | None:
         """The same, where the estimator that judges is the engine's."""
         return self.engine if self.estimated is None else self.estimated.written
@@ -284,7 +289,7 @@ class Case:
         merged, found = self._settled(view)
         tell(0.1)
         doubts, warnings = self._doubts(merged, portion(tell, 0.1, 0.6))
-        until = np.inf if self._whole and doubts else self.consistency.until
+        until = np.inf if self.over and doubts else self.consistency.until
         if view is None:
             found, evidence = self._evidence(merged, found, view)
             found = _of(hop, ledger.believed(found, until))
@@ -298,7 +303,7 @@ class Case:
             found = witness.ask(Stage.COMPARISON, view, found)
             view.open = ledger.open_claims(view.open, found)
             tell(0.8)
-            if self.hovers and self._whole:
+            if self.hovers and self._from_takeoff:
                 found = witness.ask(Stage.SETUP, view, found)
         found = _of(hop, ledger.believed(found, until))
         said = tuple(view.assumptions), tuple(view.warnings)
@@ -335,10 +340,11 @@ class Case:
 
     def _doubts(self, merged: Merged, progress: Callable[[float], object]) -> tuple[tuple[str, ...], list[str]]:
         """Why the samples contradict themselves, and warnings of outputs that left the mixer together."""
-        if self.table is None:
-            return ((self.consistency.doubt,) if self.consistency.doubt else ()), []
-        together = wording.together(merged.shared)
-        doubts = trust.contradictions(self.flight, self.vehicle, self.air, self.table, progress)
+        doubts, together = (self.consistency.doubt,) if self.consistency.doubt else (), []
+        if self.table is not None:
+            doubts = trust.contradictions(self.flight, self.vehicle, self.air, self.table, progress)
+        if self.over:
+            together = wording.together(merged.shared)
         doubts += tuple(text for text, lasts in together if lasts)
         doubts += () if self.hovers else aerobatic.lacks(self.flight)
         return doubts, [text for text, lasts in together if not lasts]
@@ -350,10 +356,11 @@ class Case:
         if not tables or self.unseen is None:
             return found, []
         end_s = float(tables[-1].time[-1])
-        claims = list(witness.ask(Stage.OPEN, view)) if view is not None and self._whole else []
+        claims = list(witness.ask(Stage.OPEN, view)) if view is not None and self._from_takeoff else []
         claims += slow.suspected(self.grown)
         if done is not None:
             claims += residual_evidence.find(done.out, done.table, list_hypotheses(n), done.limit, found, self.B)
+        if self.over:
             claims += residual_evidence.faint(merged.faint, found, end_s)
         if self._by_hover:
             found = self.unseen.doubted(found)
@@ -379,7 +386,8 @@ class Case:
         done, records = self.estimated, self._records
         return View(
             self.flight, self.vehicle, self.air, self.tables, self.B, None if done is None else done.out, over=self.over,
-            hovers=self.hovers, default=done is None or done.default, known=self.known, dynamics=self.dynamics,
+            hovers=self.hovers, default=done is None or done.default, known=self.known,
+            dynamics=self.dynamics if self._whole else self.driver.dynamics,
             learned=None if records is None else records.learned, lost=self._lost, merged=lambda claims: self._merged(claims).events,
         )  # fmt: skip
 

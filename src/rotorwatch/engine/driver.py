@@ -78,6 +78,7 @@ class Driver:
         belongs to a checkpoint, copied; kept: the part of each batch of ticks that is kept."""
         self.window, self.vehicle = Window(about), vehicle
         self.diagnoser: Diagnoser | None = None
+        self.dynamics: dict | None = None  # noise and gains by which it judges
         self._keep_s, self._snapshot, self._kept = keep_s, snapshot, kept
         self._mixing, self._planned_aloft = False, False
         self._fed: dict[str, float] = {}  # signal -> time of its last sample that was fed
@@ -100,7 +101,7 @@ class Driver:
         self._falls = dict(spans)
         self._mixing = allocation.faster_control(flight)
         craft = allocation.laid_out(self.vehicle, flight)
-        self.diagnoser = Diagnoser(self.vehicle, craft, how, self._mixing, dynamics)
+        self.diagnoser, self.dynamics = Diagnoser(self.vehicle, craft, how, self._mixing, dynamics), dynamics
         self._marks = [self._mark(self.diagnoser)]
         return self.diagnoser
 
