@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose, logs
+from rotorwatch.engine.driver import fly
 from rotorwatch.engine.intake import deviations, mixer
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.overrides import overrides
+from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import ThrustCurve
 
@@ -22,6 +23,12 @@ needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test
 @functools.cache
 def read(path):
     return logs.read(FLIGHTS / path)
+
+
+def overrides(flight, vehicle, air):
+    """Outputs that left the mixer in flights ((start, end), ...) s, as the engine finds them on the way."""
+    flown = fly(flight, vehicle, air, READY_S)
+    return () if flown is None else flown[0].overrides
 
 
 def spans(flight):

@@ -14,11 +14,11 @@ from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine import diagnoser as driver
 from rotorwatch.engine import driver as driving
 from rotorwatch.engine import window
-from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.definition import ENGINE, merged
 from rotorwatch.engine.diagnoser import Diagnoser, Judged
 from rotorwatch.engine.driver import Driver, fly
 from rotorwatch.engine.motion import allocation, tick_table
-from rotorwatch.engine.motion.samples import samples
+from rotorwatch.engine.motion.samples import parts
 from rotorwatch.flight import Flight, Message
 
 SECONDS = 52.0
@@ -30,7 +30,7 @@ def flown():
     flight = logs.read(SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz").until(SECONDS)
     vehicle, mixing = airframes.identify(flight), allocation.faster_control(flight)
     plan = tick_table.plan(flight, flight["control" if mixing else "motors"], tick_table.READY_S)
-    return vehicle, flight, plan, mixing, samples(flight.signals, flight.messages, vehicle, plan.gyro, False)
+    return vehicle, flight, plan, mixing, merged(parts(flight.signals, flight.messages, vehicle, plan.gyro, False))
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def short():
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz").until(18.0)
     vehicle, mixing = airframes.identify(flight), allocation.faster_control(flight)
     plan = tick_table.plan(flight, flight["control" if mixing else "motors"], tick_table.READY_KNOWN_S)
-    return vehicle, flight, plan, mixing, samples(flight.signals, flight.messages, vehicle, plan.gyro, False)
+    return vehicle, flight, plan, mixing, merged(parts(flight.signals, flight.messages, vehicle, plan.gyro, False))
 
 
 def told(flown, cuts=(), room=driver.ROOM):

@@ -8,7 +8,9 @@ import pytest
 
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
-from rotorwatch.engine.motion import air_spans, allocation, overrides
+from rotorwatch.engine.driver import fly
+from rotorwatch.engine.motion import air_spans, allocation
+from rotorwatch.engine.motion.tick_table import READY_S
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Event
@@ -71,7 +73,8 @@ def test_commands_still_follow_the_mixer(frame, fast):
     # A command between two control samples is compared with a straight line; the loss grows along a curve.
     assert np.abs(check.deviation[late]).max() < (1e-3 if fast else 1e-9)
     assert np.abs(faulty["control"].values - flight["control"].values).max() > 0.02
-    assert overrides.overrides(faulty, vehicle, ((1.0, 19.0),)) == ()
+    flown = fly(faulty, vehicle, ((1.0, 19.0),), READY_S)
+    assert flown is not None and flown[0].overrides == ()
     if fast:
         both = [allocation.mixed_thrusts(f, vehicle) for f in (flight, faulty)]
         assert both[1].valid[200:].mean() > 0.95
@@ -200,4 +203,6 @@ def test_a_real_flight_keeps_following_its_mixer():
     flight = logs.read(path)
     vehicle, air = airframes.identify(flight), air_spans.airborne(flight)
     faulty = inject.inject(flight, vehicle, 1, 0.2, 40.0)
-    assert overrides.overrides(faulty, vehicle, air) == overrides.overrides(flight, vehicle, air) == ()
+    for one in (flight, faulty):
+        flown = fly(one, vehicle, air, READY_S)
+        assert flown is not None and flown[0].overrides == ()

@@ -162,28 +162,6 @@ def mix(
             done.samples += 1
 
 
-def deviate(
-    d: Deviations, v: Vehicle, m: int, checks: list[Comparison], checked_aloft: Flags, n: int, time: Times, output: Reals, thrust: Reals,
-    valid: Flags, aloft: Flags,
-) -> None:  # fmt: skip
-    """Process m comparisons and n logged samples of outputs with their thrusts (n times rotors), in the order in which they became known.
-    valid (n,): all outputs are known; checked_aloft (m,), aloft (n,): the vehicle was in flight."""
-    u = local(REAL, ROTORS)
-    t = local(REAL, ROTORS)
-    done = 0
-    for i in range(n):
-        while done < m and checks[done].known <= time[i]:
-            d.compared(v, checks[done], checked_aloft[done])
-            done += 1
-        for k in range(v.rotors):
-            u[k] = output[i * v.rotors + k]
-            t[k] = thrust[i * v.rotors + k]
-        d.logged(v, time[i], u, t, valid[i], aloft[i])
-    while done < m:
-        d.compared(v, checks[done], checked_aloft[done])
-        done += 1
-
-
 def overrides(d: Deviations, v: Vehicle, found: list[Override]) -> int:
     """Write the outputs that have not followed the mixer so far into `found`; return their number."""
     return d.found(v, found)

@@ -1,4 +1,4 @@
-"""Outputs that deviate from the mixer, over a whole flight: the definition of engine/intake/deviations.py, in words.
+"""Outputs that deviate from the mixer, as the engine has recorded them (engine/intake/deviations.py), in words.
 
 Loss of effectiveness never shows here: only commands are compared.
 """
@@ -14,15 +14,11 @@ from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.events import calls
-from rotorwatch.engine.intake import deviations, mixer
+from rotorwatch.engine.intake import deviations
 from rotorwatch.engine.intake.airborne import CONFIRM_S
 from rotorwatch.engine.intake.sizes import OVERRIDES
-from rotorwatch.engine.motion import allocation
-from rotorwatch.engine.motion.allocation import Spans, within
-from rotorwatch.flight import Flight
-from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.engine.motion.allocation import Spans
 
-LEAST = 3  # comparisons
 KINDS = {deviations.STUCK: "stuck", deviations.OFF: "off", deviations.OVERRIDDEN: "overridden"}
 
 
@@ -42,32 +38,6 @@ class Override(NamedTuple):
     reason: str
     demanded: float | None = None
     shared: bool = False
-
-
-def overrides(flight: Flight, vehicle: Vehicle, airborne: Spans) -> tuple[Override, ...]:
-    """Outputs that stopped following the mixer in flight: stuck at a value, off, or driven by something else.
-
-    airborne: ((start, end), ...) in s. With a ``control`` signal that agrees with the mixer, an output counts when it differs by more
-    than 0.05 of full thrust (and six times the usual difference) for 0.25 s while no rotor is near its limits; limits explain neither an
-    output below its minimum nor one that rests though it is commanded to move against the others. Without it, only outputs that are off,
-    or constant for 0.5 s while all others move, are found. Loss of effectiveness never shows here: only commands are compared. Causal:
-    `detected` is when a live observer would have known.
-    """
-    if not flight.has("motors"):
-        return ()
-    state, craft, motors = ENGINE.new(deviations.Deviations), allocation.laid_out(vehicle, flight), flight["motors"]
-    checks, checked = ENGINE.array(mixer.Comparison, 1), np.empty(0)
-    if flight.has("control"):
-        check = allocation.compare(flight, vehicle)
-        if len(check.time) >= LEAST:
-            checks, checked = check.rows, check.time
-    thrust = np.ascontiguousarray(allocation.motor_thrusts(flight, vehicle).values)
-    logged = np.ascontiguousarray(motors.values, float)
-    known = np.ascontiguousarray(motors.whole)
-    compared = len(checked), checks, within(checked, airborne)
-    outputs = len(motors), motors.time, logged, thrust, known, within(motors.time, airborne)
-    ENGINE.call(calls.deviate, state, craft, *compared, *outputs)
-    return found(state, craft)
 
 
 def in_flight(found: Iterable[Override], spans: Spans) -> list[Override]:

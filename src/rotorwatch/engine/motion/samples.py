@@ -1,19 +1,14 @@
-"""Signals in the definitions' form: one sequence of samples of all kinds, in time order."""
+"""Signals and messages in the definitions' form."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from rotorwatch.engine.definition import Part, Samples, merged, states
+from rotorwatch.engine.definition import Part, states
 from rotorwatch.flight import Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
 SIGNALS = ("motors", "control", "gyro", "rates", "accel", "velocity", "attitude", "lift", "battery")
-
-
-def samples(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool) -> Samples:
-    """`parts` in one sequence."""
-    return merged(parts(signals, messages, vehicle, gyro, battery))
 
 
 def parts(signals: Mapping[str, Signal], messages: Iterable[Message], vehicle: Vehicle, gyro: str | None, battery: bool) -> list[Part]:
