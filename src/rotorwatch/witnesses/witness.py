@@ -1,7 +1,7 @@
 """The interface of a witness: evidence beside the default estimator.
 
 A file of this folder, or of another package, that defines WITNESSES, a tuple of `Witness`, registers them; nothing lists them by hand
-(docs/your-own-witness.md). `case.Case` asks all of them, of logs and links alike, in the order of stage and place.
+(docs/your-own-witness.md). `case.conductor.Case` asks all of them, of logs and links alike, in the order of stage and place.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ class Stage(Enum):
     OPEN: open claims (kinds of weight OPEN); `View.events` holds the events.
     COMPARISON: the events, when the flight is over; `View.open` holds the open claims that no event explains, and may be changed.
     SETUP: the events, where the log is consistent.
+
+    OPEN and SETUP are of the whole flight: on a link they are asked only if the samples that are kept begin before the first take-off.
     """
 
     CLAIMS, REVISION, EVENTS, OPEN, COMPARISON, SETUP = range(6)
