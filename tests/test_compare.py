@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from rotorwatch import airframes, diagnose
+from rotorwatch.case.conductor import Case
 from rotorwatch.commands import cli
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.motion.tick_table import JUDGE
@@ -72,7 +73,7 @@ def judged(quads, monkeypatch):
         out = program.TickOutput(*[shown] * len(program.TickOutput._fields))
         monkeypatch.setattr(published, "judge", lambda *a, **k: (out, None))
         said = SimpleNamespace(end=SimpleNamespace(events=tuple(found)))
-        monkeypatch.setattr(study, "judge", lambda *a, **k: said)
+        monkeypatch.setattr(Case, "by", lambda self, done: SimpleNamespace(answer=lambda: said))
         return study._trial("ekf", which)
 
     return trial
