@@ -100,6 +100,8 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    if cause == "rotor":  # residuals of brisk flight may have strayed before
+        onset = min(found[0].onset, left.onset)
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
         cause, evidence = ("unknown", ("its rotor commands had been out of balance since take-off, compared with healthy vehicles",))
     if left.impact is None and ground is not None:
