@@ -21,7 +21,7 @@ from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window, fit
 from rotorwatch.witnesses.upset.explain import Explanation, explain
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import batch, benchmark_plan
-from rotorwatch_lab.simulation import simulate
+from rotorwatch_lab.simulation import scenario, simulate
 
 QUAD = airframes.named("ardupilot-quad-x")
 B = QUAD.effectiveness()
@@ -441,3 +441,21 @@ def test_what_is_held_at_the_start_of_a_hop_is_the_sample_before_it():
     assert loss_of_control._around(signal, -1.0, 0.5).time.tolist() == [0.0]
     at = np.array([2.5, 3.0, 4.9])
     assert np.array_equal(loss_of_control.held(around, at)[0], loss_of_control.held(signal, at)[0])
+
+
+def test_a_rotor_that_fails_in_brisk_flight_is_named_since_it_failed():
+    asked = {
+        "duration_s": 36.0, "seed": 1, "autopilot": "px4",
+        "airframe": {
+            "frame": "quad-x", "mass_kg": 2.78, "arm_m": 0.4, "thrust_to_weight": 2.7, "expo": 0.332, "lag_s": 0.031, "payload_kg": 0.1,
+            "rotor_spread": 0.022,
+        },
+        "trajectory": {"kind": "turning-square", "altitude_m": 4.06, "size_m": 6.0, "speed_m_s": 4.5, "turn_s": 2.65},
+        "wind": {"speed_m_s": 6.5, "from_deg": 202.0},
+        "faults": [{"kind": "loss", "rotor": 2, "onset_s": 27.3, "strength": 0.7}],
+    }  # fmt: skip
+    answer = diagnose(simulate(scenario.from_table(asked)).flight)
+    fault = next(e for e in answer.events if e.means.accuses)
+    assert fault.rotors == (2,)
+    assert fault.onset_s == pytest.approx(27.3, abs=0.15)
+    assert answer.verdict == "fault"
