@@ -20,6 +20,7 @@ from rotorwatch.base.progress import portion
 from rotorwatch.case import verdict, whole_log
 from rotorwatch.case.departures import WINDOW_S, Departures
 from rotorwatch.case.estimated import Estimated
+from rotorwatch.case.in_flight import InFlight
 from rotorwatch.case.link_consistency import MEMORY_S, Consistency
 from rotorwatch.case.verdict import Answer, Bounds, Claims
 from rotorwatch.engine.bindings import event_rows, residual_evidence
@@ -86,6 +87,7 @@ class Case:
         self._tables: list[Ticks] = []  # of the last WINDOW_S
         self._recent: list[Ticks] = []  # after these, in small pieces
         self._heard: dict[str, tuple[float, tuple[Event, ...]]] = {}  # witness -> when it was asked last [s], its claims
+        self._in_flight = InFlight()
         self._asked = [(one, one.due) for one in witness.registered() if one.stage is Stage.CLAIMS and one.due]  # on a link
         self._open()
 
@@ -291,6 +293,7 @@ class Case:
         doubts, warnings = self._doubts(merged, portion(tell, 0.1, 0.6))
         until = np.inf if self.over and doubts else self.consistency.until
         if view is None:
+            found = self._in_flight.reconsidered(found, self.now, self.air, self._view)
             found, evidence = self._evidence(merged, found, view)
             found = _of(hop, ledger.believed(found, until))
             return Claims(found, _in(hop, ledger.open_claims(evidence, found)), doubts)
