@@ -49,7 +49,6 @@ def test_a_list_with_everything(tmp_path):
         ([",1,3"], r"line 2 has no path"),
         (["a.bin,1,3", "a.bin,,"], r"line 3 names .*a.bin again"),
         (["a.bin,1,3", "a.bin,2,9,,,v.toml"], r"another vehicle or baseline"),
-        (["a.bin,1,3,,20", "a.bin,2,9"], r"begins before the one before it has ended"),
         (["a.bin,1,3,,,,,,,more"], r"more cells than the first line"),
         ([], r"lists no flight"),
     ],
@@ -110,6 +109,16 @@ def test_faults_one_after_the_other_are_judged_by_their_own_events():
     assert (first["healthy_s"], second["healthy_s"]) == (pytest.approx(26.0), 0.0)
     first, second = scored(answer(event((3,), 31.0, 31.5)), Fault((3,), 31.0, end_s=40.0), Fault((5,), 45.0))
     assert (first["outcome"], second["outcome"]) == ("right", "missed")
+
+
+def test_a_second_fault_while_the_first_one_lasts():
+    faults = Fault((3,), 31.0, end_s=50.0), Fault((5,), 45.0)
+    pair = event((3, 5), 45.1, 45.6)
+    first, second = scored(answer(event(), pair), *faults)
+    assert (first["outcome"], second["outcome"]) == ("right", "right") and second["loss"] == pytest.approx(0.3)
+    assert first["healthy_s"] == pytest.approx(21.0)  # broken from 31 s to the end
+    _, second = scored(answer(event(), event((3,), 45.1, 45.6)), *faults)
+    assert second["outcome"] == "missed"  # the rotor that was broken before is no wrong one
 
 
 def test_from_take_off_delays_count_from_it_and_before_it_nothing_is_healthy():
