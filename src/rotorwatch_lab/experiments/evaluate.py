@@ -5,7 +5,7 @@
     rw.evaluate.write(result, "page.html")      # or .csv, .json
 
 Each flight is diagnosed as by `diagnose`, with its own vehicle file and healthy flights; `counting` defines the outcomes. A fault in a
-flight with several is judged by the events from its onset to the next one's.
+flight with several is judged by the events from its onset to the next one's, without the rotors that were broken before and still are.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import io
 import json
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,12 +133,24 @@ def scored(flight: Labelled, answer: Diagnosis) -> list[dict[str, Any]]:
         end = flight.faults[k + 1].onset_s - counting.EARLY_S if k + 1 < len(flight.faults) else np.inf
         part = _Part(answer.verdict, answer.events, answer.rotors)
         if len(flight.faults) > 1:
-            events = tuple(e for e in answer.events if start <= e.detected_s < end)
+            still = {r for f in flight.faults[:k] if f.end_s is None or f.end_s > fault.onset_s for r in f.rotors} - {*fault.rotors}
+            events = tuple(_without(e, still) for e in answer.events if start <= e.detected_s < end)
             doubt = any(e.alternatives and e.means.accuses for e in events)
             part = _Part("ambiguous" if doubt else "healthy", events)
-        own = _row(fault, part, tuple(a for a in raised if start <= a.detected_s < end), air)
+        own = _row(fault, part, counting.alarms(e for e in part.events if start <= e.detected_s < end), air)
         rows.append(_known(flight, fault) | said | _names(part) | own | {"healthy_s": healthy_s if k == 0 else 0.0})
     return rows
+
+
+def _without(event: Event, rotors: set[int]) -> Event:
+    """The event without these rotors."""
+    if not rotors & event.suspects:
+        return event
+    kept = [k for k, rotor in enumerate(event.rotors) if rotor not in rotors]
+    named = tuple(event.rotors[k] for k in kept)
+    left = (tuple(r for r in other if r not in rotors) for other in event.alternatives)
+    sizes = {"loss": tuple(event.loss[k] for k in kept), "interval": tuple(event.interval[k] for k in kept)} if event.loss else {}
+    return replace(event, rotors=named, alternatives=tuple(a for a in left if a and a != named), **sizes)
 
 
 def _row(fault: Fault, answer: Any, raised: Sequence[counting.Alarm], air: Sequence[tuple[float, float]]) -> dict[str, Any]:

@@ -9,14 +9,13 @@
     baseline      healthy flights of the same build, relative to it, with ; between them
     label_source  how the label is known
 
-A flight with several faults, one after the other, has a row for each.
+A flight with several faults has a row for each; one may begin while another lasts.
 """
 
 from __future__ import annotations
 
 import csv
 import io
-import itertools
 import math
 import os
 import re
@@ -114,9 +113,6 @@ def _joined(old: Labelled, new: Labelled, where: str) -> Labelled:
     if (new.vehicle, new.baseline) != (old.vehicle, old.baseline):
         raise ConfigError(f"{where}: {new.path} has another vehicle or baseline than in its row above.")
     faults = tuple(sorted(old.faults + new.faults, key=lambda f: f.onset_s))
-    for before, after in itertools.pairwise(faults):
-        if before.end_s is not None and before.end_s > after.onset_s:
-            raise ConfigError(f"{where}: a fault of {new.path} begins before the one before it has ended; leave its end_s empty.")
     return old._replace(faults=faults)
 
 
