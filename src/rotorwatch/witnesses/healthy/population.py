@@ -88,8 +88,8 @@ def weigh(found: Features, B: np.ndarray) -> dict:
             return bounded
         others = "".join(f", rotor {i + 1}" for i in named if i != best)
         reason = (
-            f"rotor {best + 1}{others} may have lacked up to {100 * high[best]:.0f} % of its thrust since take-off: the balance of commands "
-            "is likelier with such a loss than without, but an off-centre mass, or the trim of a healthy vehicle, looks the same."
+            f"rotor {best + 1}{others} may have lacked up to {100 * high[best]:.0f} % of its thrust since take-off: the balance of "
+            "commands is likelier with such a loss than without, but an off-centre mass, or the trim of a healthy vehicle, looks the same."
         )
         leaning = {"verdict": "ambiguous", "reason": reason, "rotors": [best + 1], "causes": causes, "trim": True}
         return bounded | {"leaning": leaning}
