@@ -149,9 +149,7 @@ def _groups(sources: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, An
 def _faults(sources: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> str:
     def line(name: str, group: str, mine: list[Mapping[str, Any]]) -> list[Any]:
         answered = [r for r in mine if r["outcome"] != evaluate.REFUSED]
-        count = {
-            key: sum(r["outcome"] in key.split("+") for r in answered) for key in ("right", "among+partly", "wrong+extra", "missed+astray")
-        }
+        count = [sum(r["outcome"] in outcomes for r in answered) for outcomes in OUTCOMES]
         delays = sorted(r["delay_s"] for r in answered if r["delay_s"] is not None)
         losses = [r["loss"] for r in answered if r["loss"] is not None]
         size = f"{min(losses):.0%} to {max(losses):.0%}" if len(losses) > 1 else f"{losses[0]:.0%}" if losses else ""
@@ -177,7 +175,11 @@ def _healthy(sources: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, A
 
 def _rate(summary: Mapping[str, Any]) -> str:
     rate = summary["false_alarms_h"]
-    return "none" if rate is None else f"{rate['n']} alarms, {rate['value']:.2f} an hour (95 % {rate['low']:.2f} to {rate['high']:.2f})"
+    return (
+        "none"
+        if rate is None
+        else f"{rate['n']} alarm{'' if rate['n'] == 1 else 's'}, {rate['value']:.2f} an hour (95 % {rate['low']:.2f} to {rate['high']:.2f})"
+    )
 
 
 def _alarms(rows: Sequence[Mapping[str, Any]]) -> str:

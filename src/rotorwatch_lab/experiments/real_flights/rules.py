@@ -17,7 +17,9 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.toolkit import airborne
 
 REVIEW = "flight-review-motor"
-SAMPLES, LOCKED = 50, 0.9  # of the second rule; 1900 us as a share of 1000 to 2000 us
+SAMPLES, PULSE_US, FULL_US = 50, 1900.0, 2000.0  # of the second rule; full thrust of usual pulses
+LOCKED = 0.9  # the same as a share of the range, for other outputs
+LANDS_S = 1.0
 
 
 def findings(flight: Flight, vehicle: Vehicle | None = None) -> list[dict[str, Any]]:
@@ -29,21 +31,20 @@ def findings(flight: Flight, vehicle: Vehicle | None = None) -> list[dict[str, A
 
 
 def review(flight: Flight, vehicle: Vehicle) -> list[dict[str, Any]]:
-    """Flight Review's rule on the outputs between the first take-off and the last landing, the log's `armed` where it has it."""
-    air = airborne(flight)
-    if not flight.has("motors") or not air:
+    """Flight Review's rule on the outputs in the air, until LANDS_S before each landing: not every log says when the vehicle was armed."""
+    if not flight.has("motors"):
         return []
-    motors = flight["motors"]
-    low, high = vehicle.curve.u_min, vehicle.curve.u_max
-    flown = (motors.time >= air[0][0]) & (motors.time <= air[-1][1])
-    share = (motors.values[flown] - low) / (high - low)
-    time, found = motors.time[flown], []
-    for k in range(share.shape[1]):
-        active = np.maximum.accumulate(share[:, k] > 0.0)
-        zero = np.flatnonzero(active & (motors.values[flown][:, k] <= 0.0))
-        at_top = share[:, k] >= LOCKED
-        run = np.convolve(at_top, np.ones(SAMPLES), "valid") if len(at_top) >= SAMPLES else np.zeros(0)
-        locked = np.flatnonzero(run >= SAMPLES)
+    motors, curve = flight["motors"], vehicle.curve
+    flown = np.any([(motors.time >= a) & (motors.time <= b - LANDS_S) for a, b in airborne(flight)] or [motors.time < 0.0], axis=0)
+    if not flown.any():
+        return []
+    time, values, valid = motors.time[flown], motors.values[flown], motors.valid[flown]
+    top = PULSE_US if curve.u_max > FULL_US / 2.0 else curve.u_min + LOCKED * (curve.u_max - curve.u_min)
+    found = []
+    for k in range(values.shape[1]):
+        active = np.maximum.accumulate(valid[:, k] & (values[:, k] > 0.0))
+        zero = np.flatnonzero(active & valid[:, k] & (values[:, k] <= 0.0))
+        locked = np.flatnonzero(np.convolve(valid[:, k] & (values[:, k] >= top), np.ones(SAMPLES))[: len(time)] >= SAMPLES)
         for rows, why in ((zero, "output 0"), (locked, f"{SAMPLES} samples at 1900 us or more")):
             if rows.size:
                 found.append({"detector": REVIEW, "rotor": k + 1, "time_s": float(time[rows[0]]), "reason": why})
