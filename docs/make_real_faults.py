@@ -24,7 +24,6 @@ from rotorwatch.errors import RotorwatchError
 from rotorwatch_lab.experiments import counting, evaluate, real_flights, tools
 from rotorwatch_lab.experiments.labels import labelled
 from rotorwatch_lab.experiments.real_flights import rules
-from rotorwatch_lab.experiments.real_flights.others import UNKNOWN
 
 HERE = Path(__file__).resolve().parent
 LIST, ROWS, PAGE = HERE / "real_faults.toml", HERE / "real_faults.csv", HERE / "real-faults.md"
@@ -42,7 +41,7 @@ def judged(source: Mapping[str, Any], checkout: Path, out: Path, jobs: int) -> l
     """The rows of a source, with the outcome of each of OTHERS: right, wrong, none, or empty where it cannot be run."""
     out.mkdir(parents=True, exist_ok=True)
     recipe = real_flights.recipe(source["recipe"])
-    more = {key: source[key] for key in ("patterns", "unknown") if key in source}
+    more = {key: source[key] for key in ("patterns", "seen") if key in source}
     found = list(recipe.flights(checkout, out, **more))
     result: list[dict[str, Any]] = []
     for group in dict.fromkeys(row["group"] for row in found):
@@ -122,18 +121,20 @@ and run on every flight, whatever its autopilot. A fault is right where the firs
 def page(sources: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> str:
     """The page."""
     there = [s for s in sources if any(r["repository"] == s["repository"] for r in rows)]
-    told = [r for r in rows if r["group"] != UNKNOWN]
-    everything, alone = evaluate.summarise(told), evaluate.summarise([r for r in told if not r["rotor"] and "against" not in r["group"]])
+    assessed = [r for r in rows if not r["headline"].startswith("Not assessed")]
+    once = [r for r in assessed if not r["rotor"] and "against" not in r["group"]]
+    everything, alone = evaluate.summarise(assessed), evaluate.summarise(once)
     links = (f"[{s['repository']}](https://github.com/{s['repository']})" for s in there)
     heads = ("repository", "commit", "licence", "what it is", "how the label is known")
     about = [[link, s["commit"][:7], s["licence"], s["about"], s["label"]] for link, s in zip(links, there)]
     rates = (
-        f"\n{alone['healthy_h']:.2f} h of healthy flight, each flight once: {_rate(alone)}. With the healthy time of faulty flights, and\n"
-        f"flights once more against others, {everything['healthy_h']:.2f} h: {_rate(everything)}. Every alarm in healthy flight:\n"
+        f"\n{alone['healthy_h']:.2f} h of healthy flight that could be assessed, each flight once: {_rate(alone)}.\n"
+        f"With the healthy time of faulty flights, and flights once more against others, {everything['healthy_h']:.2f} h:\n"
+        f"{_rate(everything)}. Every alarm in healthy flight:\n"
     )
     parts = [
         INTRODUCTION, tools.table(heads, about), "\n## Faults\n", _faults(there, [r for r in rows if r["rotor"]]), "\n## Healthy flights\n",
-        _healthy(there, [r for r in rows if not r["rotor"]]), rates, _alarms(told), "\n## Other rules on the same flights\n", _rules(rows),
+        _healthy(there, [r for r in rows if not r["rotor"]]), rates, _alarms(rows), "\n## Other rules on the same flights\n", _rules(rows),
         RULES, _refused(rows),
     ]  # fmt: skip
     return "\n".join(parts).rstrip() + "\n"
@@ -188,7 +189,7 @@ def _alarms(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _rules(rows: Sequence[Mapping[str, Any]]) -> str:
-    alone = [r for r in rows if "against" not in r["group"] and r["group"] != UNKNOWN and r["outcome"] != evaluate.REFUSED]
+    alone = [r for r in rows if "against" not in r["group"] and r["outcome"] != evaluate.REFUSED]
     faulty, healthy = [r for r in alone if r["rotor"]], [r for r in alone if not r["rotor"]]
 
     def line(key: str, name: str) -> list[Any]:

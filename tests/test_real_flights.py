@@ -93,8 +93,9 @@ def test_other_logs_count_once(tmp_path):
         put(tmp_path / name, "the same")
     put(tmp_path / "c.bin", "another")
     put(tmp_path / "readme.md", "no log")
-    rows = list(others.flights(tmp_path, tmp_path, unknown=("c.bin",)))
-    assert [(Path(r["path"]).name, r["group"]) for r in rows] == [("a.bin", "no known fault"), ("c.bin", others.UNKNOWN)]
+    rows = list(others.flights(tmp_path, tmp_path, seen={"c.bin": [4, 5.5]}))
+    assert [(Path(r["path"]).name, r["group"]) for r in rows] == [("a.bin", "no known fault"), ("c.bin", others.SEEN)]
+    assert rows[1]["rotor"] == "4" and rows[1]["onset_s"] == 5.5
 
 
 def outputs(columns):

@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rotorwatch import logs
 
-UNKNOWN = "what happened is not known"
 SUFFIXES = (".ulg", ".bin", ".tlog", ".bfl", ".bbl", ".txt", ".log")
+SEEN = "a motor stops: read off the log after the alarm"
 
 
-def flights(checkout: Path, out: Path, patterns: Sequence[str] = ("**/*",), unknown: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-    """Rows of the logs that fit a pattern, each content once; their group is UNKNOWN for those of names `unknown`."""
-    seen: set[str] = set()
+def flights(
+    checkout: Path, out: Path, patterns: Sequence[str] = ("**/*",), seen: Mapping[str, Sequence[float]] | None = None
+) -> Iterator[dict[str, Any]]:
+    """Rows of the logs that fit a pattern, each content once. seen: name of a log -> rotor and onset [s] of a fault that whoever looks at
+    its outputs and rates sees."""
+    known, seen = set(), seen or {}
     for pattern in patterns:
         for source in sorted(checkout.glob(pattern)):
             if source.suffix.lower() not in SUFFIXES or not source.is_file():
                 continue
             digest = hashlib.sha256(source.read_bytes()).hexdigest()
-            if digest in seen:
+            if digest in known:
                 continue
-            seen.add(digest)
+            known.add(digest)
             sessions = logs.sessions(source)
-            group = UNKNOWN if source.name in unknown else "no known fault"
-            yield from ({"path": str(path), "group": group} for path in (sessions if len(sessions) > 1 else [source]))
+            for path in map(Path, sessions if len(sessions) > 1 else [source]):
+                row: dict[str, Any] = {"path": str(path), "group": "no known fault"}
+                if path.name in seen:
+                    rotor, onset = seen[path.name]
+                    row |= {"group": SEEN, "rotor": str(int(rotor)), "onset_s": onset}
+                yield row
