@@ -329,3 +329,28 @@ def test_a_headline_bounds_what_the_table_shows():
     claim = Event("damage_from_takeoff", (), 0.0, 0.0, None, (), (), 1.0, (), "", compared, from_takeoff.VEHICLES)
     end = conclude(Evidence((), 4, hidden=np.array([0.02, 0.16, 0.02, 0.02]), judged_s=60.0, claims=(claim,)))
     assert max(state.interval[1] for state in end.rotors) <= 0.42 and "is at most 42 % in rotor" in end.headline
+
+
+@pytest.mark.parametrize(
+    ("matters", "verdict", "first", "status"),
+    [
+        (
+            0.2,
+            "ambiguous",
+            "Rotor 3 may have lacked up to 38 % of its thrust from take-off on, or rotor 4, or the centre of mass",
+            "suspect",
+        ),
+        (0.4, "healthy", "No rotor lost thrust after take-off.", "healthy"),
+    ],
+)
+def test_a_flight_that_leans_to_a_rotor_whose_loss_matters_is_not_healthy(matters, verdict, first, status):
+    """The bound is larger than what matters, and the balance fits a weak rotor better than none: it is named first, all others after it."""
+    causes = [{"kind": "rotors", "rotors": [3], "probability": 0.04}, {"kind": "rotors", "rotors": [4], "probability": 0.004}]
+    leaning = {"verdict": "ambiguous", "reason": "rotor 3 may be weak.", "rotors": [3], "causes": causes, "trim": True}
+    compared = {"verdict": "healthy", "interval": [(0.0, 0.2), (0.0, 0.2), (0.0, 0.38), (0.0, 0.25)], "rotors": [], "loss": [0.0] * 4,
+                "causes": [], "reason": "", "leaning": leaning}  # fmt: skip
+    (claim,) = from_takeoff.claims(compared, from_takeoff.VEHICLES, ((5.0, 65.0),))
+    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=60.0, claims=(claim,), hops=((5.0, 65.0),), matters=matters))
+    assert end.verdict == verdict and end.headline.startswith(first)
+    assert {r.rotor for r in end.rotors if r.status == "suspect"} == ({3, 4} if status == "suspect" else set())
+    assert end.rotors[2].status == status and end.rotors[2].interval[1] >= 0.38

@@ -68,6 +68,25 @@ def test_what_is_said_grows_with_the_loss(loss, verdict):
     assert weak(QUAD, 2, loss)["verdict"] == verdict
 
 
+@pytest.mark.parametrize(("loss", "leans"), [(0.1, False), (0.2, False), (0.28, True), (0.33, True)])
+def test_a_loss_of_a_third_leans_to_its_rotor(loss, leans):
+    for rotor in range(4):
+        found = weak(QUAD, rotor, loss)
+        assert found["verdict"] == "healthy" and ("leaning" in found) is leans
+        if leans:
+            assert found["leaning"]["rotors"] == [rotor + 1] and found["interval"][rotor][1] > loss
+            assert found["leaning"]["causes"][0]["rotors"] == [rotor + 1]
+
+
+def test_one_in_twenty_healthy_quadrotors_leans_and_no_hexa():
+    rng = np.random.default_rng(3)
+    scale = np.array([population.CENTRE, population.CENTRE, population.TILT / 2.0])
+    drawn = rng.standard_normal((400, 3)) * scale / np.sqrt(rng.chisquare(population.FREEDOM, 400) / population.FREEDOM)[:, None]
+    leaning = [("leaning" in population.weigh(hover(w), QUAD)) for w in drawn]
+    assert 0.005 < np.mean(leaning) < 0.08
+    assert not any("leaning" in population.weigh(hover(w, 6), HEXA) for w in drawn[:40])
+
+
 def test_yaw_decides_between_a_rotor_and_the_centre_of_mass():
     w = np.array([-0.3, 0.3, 0.0])  # the roll and pitch of a rotor that lost two thirds
     rotor = population.weigh(hover(np.add(w, (0.0, 0.0, 0.3))), QUAD)
@@ -80,7 +99,8 @@ def test_yaw_decides_between_a_rotor_and_the_centre_of_mass():
 
 @pytest.mark.parametrize("side", [0.1, 0.2, 0.3])
 def test_a_camera_out_in_front_accuses_no_rotor(side):
-    assert population.weigh(hover([0.0, side, 0.0]), QUAD)["verdict"] == "healthy"
+    found = population.weigh(hover([0.0, side, 0.0]), QUAD)
+    assert found["verdict"] == "healthy" and "leaning" not in found
 
 
 def test_a_rotor_at_its_limit_or_a_short_flight_is_not_judged(monkeypatch):
@@ -125,4 +145,5 @@ def test_the_population_is_that_of_real_flights_and_hangs_on_none_of_its_vehicle
 
 @pytest.mark.parametrize("name", [name for names in HEALTHY for name in names])
 def test_no_healthy_real_flight_is_unlike_healthy_vehicles(name):
-    assert population.weigh(balance(name), QUAD)["verdict"] == "healthy"
+    found = population.weigh(balance(name), QUAD)
+    assert found["verdict"] == "healthy" and "leaning" not in found

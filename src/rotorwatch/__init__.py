@@ -75,6 +75,7 @@ if TYPE_CHECKING:
     # Types of the entry points `rotorwatch.api` of our own wheel: nothing is imported at run time.
     from rotorwatch_lab.compiling.run import run as run
     from rotorwatch_lab.estimate import estimate as estimate
+    from rotorwatch_lab.experiments.evaluate import evaluate as evaluate
     from rotorwatch_lab.experiments.inject import inject as inject
     from rotorwatch_lab.experiments.studies.compare import compare as compare
     from rotorwatch_lab.experiments.studies.reproduction import reproduce as reproduce

@@ -11,7 +11,7 @@ compiling/          steps of estimators run over a table, and as C99
 published/          a published method instead of the default one over a log
 simulation/         simulated flights and their logs
 planning/           questions before a flight: what a vehicle survives, how to find out which rotor is weak
-experiments/        losses put into healthy flights, comparisons, the experiments of the papers; what counts as found (counting.py)
+experiments/        losses put into healthy flights, labelled and public flights, papers' experiments; what counts as found (counting.py)
 campaign/           thousands of flights, the benchmark of methods, what each constant is worth
 commands/           its commands on the command line
 estimate.py         published methods over a log, without a decision

@@ -341,7 +341,13 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
 
 
 def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
-    """Explanations of a whole flight's difference, the most likely first."""
+    """Explanations of a whole flight's difference, the most likely first; rotors first where a healthy trim is one of them."""
+    if whole.get("trim"):
+        first, *rest = whole["rotors"], *(c["rotors"] for c in whole["causes"] if c["rotors"] and c["rotors"] != whole["rotors"])
+        most = up_to(whole["interval"][first[0] - 1][1])
+        lacks = f"{rotors(first, seen.places)} may have lacked up to {most} of its thrust from {seen.start} on"
+        others = "".join(f", or {rotors(who, seen.places)}" for who in rest)
+        return sentence(f"{lacks}{others}, or {OFF_MIDDLE}, or this is the vehicle's usual trim.")
     causes = sorted((c for c in whole["causes"] if c["probability"] > MENTIONED), key=lambda c: -c["probability"])
     if not any(c["rotors"] for c in causes):
         causes = [{"rotors": whole["rotors"]}, *causes]
@@ -420,7 +426,8 @@ def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, see
     """The state of a rotor from take-off on, by the comparison with healthy flights or vehicles."""
     if not whole or (verdict in UNKNOWING and not _bounded(seen)):
         return "not judged"
-    likely = {r for c in whole.get("causes", ()) if c["probability"] > MENTIONED for r in c["rotors"]}
+    # Those of healthy vehicles are only the explanations that are not excluded.
+    likely = {r for c in whole.get("causes", ()) if c["probability"] > MENTIONED or not seen.whole for r in c["rotors"]}
     if whole["verdict"] == "fault" and rotor in whole["rotors"]:
         return "damaged"
     if whole["verdict"] != "healthy" and rotor in {*whole["rotors"], *likely}:

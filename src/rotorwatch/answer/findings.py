@@ -107,8 +107,12 @@ class Evidence(NamedTuple):
 
     @property
     def compared(self) -> Mapping[str, Any] | None:
-        """Result of the comparison with healthy flights, or else with healthy vehicles."""
-        return next((c.extra for c in self.claims if c.kind == FROM_TAKEOFF), None)
+        """Result of the comparison with healthy flights, or else with healthy vehicles; of one that leans to a rotor whose loss may matter,
+        as ambiguous."""
+        found = next((c.extra for c in self.claims if c.kind == FROM_TAKEOFF), None)
+        if found and "leaning" in found and found["interval"][found["leaning"]["rotors"][0] - 1][1] > self.matters:
+            return {**found, **found["leaning"]}
+        return found
 
     @property
     def whole(self) -> bool:

@@ -117,9 +117,13 @@ def write(rows: Rows, path: Path) -> None:
         Path(unfinished).write_text(page(rows), encoding="utf-8")
 
 
+def css() -> str:
+    """The style of pages that list flights."""
+    return (Path(__file__).parent / "page.css").read_text(encoding="utf-8") + STYLE
+
+
 def page(rows: Rows) -> str:
     """The page's HTML text."""
-    style = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
     title = rows.title()
     head = "".join(f"<th>{name}</th>" for name in ("verdict", "log", "aircraft", "when", "what", "why"))
     lines = "\n".join(_line(r) for r in rows.worst())
@@ -128,7 +132,7 @@ def page(rows: Rows) -> str:
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)} – rotorwatch</title>\n<style>{style}{STYLE}</style>\n</head>\n<body>\n"
+        f"<title>{escape(title)} – rotorwatch</title>\n<style>{css()}</style>\n</head>\n<body>\n"
         f'<div class="masthead"><b>{escape(title)}</b><span class="brand">rotorwatch {escape(__version__)}</span></div>\n'
         f'<main id="logs">\n<section class="verdict {worst}"><div class="word">Worst first</div><h1>{escape(title)}</h1></section>\n'
         '<div class="tools"><label>Find <input id="find" type="search" placeholder="words of a path, an aircraft, a verdict"></label> '
@@ -139,15 +143,15 @@ def page(rows: Rows) -> str:
 
 
 def _line(row: Row) -> str:
-    path = escape(_printable(row.path))
+    path = escape(printable(row.path))
     link = f'<a href="{escape(quote(row.page))}">{path}</a>' if row.page else path
     return (
         f'<tr class="{row.verdict}"><td class="word">{row.verdict}</td><td class="path">{link}</td><td>{escape(row.aircraft)}</td>'
-        f'<td class="when">{escape(row.when)}</td><td>{escape(_printable(row.headline))}</td>'
-        f"<td>{escape(_printable(row.reason))}</td></tr>"
+        f'<td class="when">{escape(row.when)}</td><td>{escape(printable(row.headline))}</td>'
+        f"<td>{escape(printable(row.reason))}</td></tr>"
     )
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """Text without bytes that are not UTF-8, as file names may hold."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")

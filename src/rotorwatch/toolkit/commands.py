@@ -13,6 +13,7 @@ from rotorwatch.commands.tools import (
     drawable,
     findable,
     flag,
+    label,
     live,
     numbers,
     option,
@@ -28,6 +29,6 @@ from rotorwatch.commands.tools import (
 )
 
 __all__ = [
-    "FIGURE", "JSON", "LOG", "OUT", "answer", "common", "counting", "drawable", "findable", "flag", "live", "numbers", "option",
+    "FIGURE", "JSON", "LOG", "OUT", "answer", "common", "counting", "drawable", "findable", "flag", "label", "live", "numbers", "option",
     "print_json", "progress", "resumable", "say", "shares", "show", "spread", "vehicle_of", "written",
 ]  # fmt: skip

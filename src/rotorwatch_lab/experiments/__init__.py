@@ -4,6 +4,10 @@ tools.py            shares and rates with intervals, tables, parts done in proce
 counting.py         what is found, right, late, and a false alarm: one definition
 limits.py           the best that any method could do
 inject.py           losses put into healthy flights
+labels.py           lists of flights whose faults are known
+evaluate.py         the diagnosis on them, scored
+evaluation_page.py  its answer as a page
+real_flights/       labels and tables of real flights in public repositories
 studies/            comparisons, false alarms, and the experiments of the papers
 research_tables.py  their results in the terminal
 """
