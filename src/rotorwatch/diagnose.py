@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -260,11 +261,14 @@ def _conclude(log: LogCase, done: Estimated, last: Judgement, title: str, clock:
         doubts=doubts,
         trace=trace,
         own=done.series,
+        balance=last.balance,
     )
 
 
 def _answer(end: conclusion.Conclusion, log: LogCase, common: dict, clock: _Clock, **more) -> Diagnosis:
     flight, craft = log.flight, log.vehicle
+    if (heard := more.get("balance")) is not None:
+        end = end._replace(rotors=tuple(replace(r, imbalance=found) for r, found in zip(end.rotors, heard.to_dict())))
     return Diagnosis(
         _facts(flight, craft, log.air, log.table), end.verdict, end.reason, end.rotors, end.events, common, log.source,
         log.assumptions, log.warnings, clock.stop(), headline=end.headline, main=end.main, advice=end.advice,

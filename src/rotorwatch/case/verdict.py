@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,7 +57,8 @@ class Estimated:
 
 class Judgement(NamedTuple):
     """end: the answer. doubts: why the log contradicts itself. evidence: open claims. whole: the comparison with healthy flights, None
-    without. assumptions, warnings: sentences for the answer."""
+    without. assumptions, warnings: sentences for the answer. balance: what the rotors' vibration says (witnesses/balance), None where
+    the log cannot hear it."""
 
     end: conclusion.Conclusion
     doubts: tuple[str, ...]
@@ -65,6 +66,7 @@ class Judgement(NamedTuple):
     whole: dict | None
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    balance: Any = None
 
 
 class LogCase(NamedTuple):
@@ -154,7 +156,8 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     if view.consistent and log.hovers:
         found = witness.ask(Stage.SETUP, view, found)
     end, evidence = _concluded(log, done, view, found, steps, doubts)
-    return Judgement(end, doubts, evidence, view.facts.get("whole_flight"), tuple(view.assumptions), tuple(view.warnings))
+    facts, said = view.facts, (tuple(view.assumptions), tuple(view.warnings))
+    return Judgement(end, doubts, evidence, facts.get("whole_flight"), *said, facts.get("imbalance"))
 
 
 def _concluded(

@@ -16,6 +16,7 @@ SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 TURNED = "turned_mount"
 REPORTED = "autopilot_report"  # its row: witnesses/reports.py
 SLOW_RESPONSE = "slow_response"  # its row: witnesses/rivals.py
+OUT_OF_BALANCE, UNBALANCED = "out_of_balance", "became_out_of_balance"  # their rows: witnesses/balance
 EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
 AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
 STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
