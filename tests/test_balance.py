@@ -10,9 +10,13 @@ import rotorwatch
 from rotorwatch.flight import Flight, Signal, kinds, vehicle_file
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Weight, kind_of
+from rotorwatch.logs import dataflash_raw, raw_sensors
+from rotorwatch.logs.dataflash_binary import Table
 from rotorwatch.report.info import info
 from rotorwatch.witnesses.balance import figures, hearing, judge, orders
 from rotorwatch_lab.simulation import vibration
+from rotorwatch_lab.simulation.write_dataflash import write_dataflash
+from rotorwatch_lab.simulation.write_ulog import write_ulog
 
 SAMPLES = Path(__file__).resolve().parents[1] / "src" / "rotorwatch" / "samples"
 SPINS = np.array([1, -1, -1, 1])
@@ -354,3 +358,90 @@ def test_a_log_says_whether_it_hears(hover):
     assert info(hover)["hears"]["ready"] is False
     assert "ESC" in info(hover)["hears"]["setting"]
     assert info(shaken(hover, steady(1.0, 1.0, 1.0, 1.0)))["hears"] == {"ready": True, "why": "", "setting": "", "sensor": "ACC"}
+
+
+def raw_of(flight, tmp_path, write, name):
+    write(flight, tmp_path / name)
+    return rotorwatch.read(tmp_path / name)
+
+
+def hovering(autopilot):
+    """A simulated flight of a real log's shape, with speeds and raw sensors."""
+    flight = shaken(rotorwatch.read(SAMPLES / "quadx_healthy_hover.bin.xz"), steady(4.0, 3.0, 5.0, 2.0))
+    signals = {name: flight[name] for name in ("motors", "gyro", "accel", "attitude", "raw_accel", "esc")}
+    gyro = flight["raw_accel"]
+    signals["raw_gyro"] = replace(gyro, values=0.01 * gyro.values, unit="rad/s")
+    if autopilot == "PX4":
+        motors = flight["motors"]
+        signals["motors"] = replace(motors, values=np.clip((motors.values - 1000.0) / 1000.0, 0.0, 1.0), unit="1")
+    parameters = {"CA_ROTOR_COUNT": 4.0, "MAV_TYPE": 2.0} if autopilot == "PX4" else flight.parameters
+    return replace(flight, signals=signals, autopilot=autopilot, parameters=parameters, warnings=())
+
+
+def test_ardupilots_raw_sensors_are_read_at_the_times_of_their_samples(tmp_path):
+    flight = hovering("ArduPilot")
+    read = raw_of(flight, tmp_path, write_dataflash, "x.bin")
+    for name in ("raw_accel", "raw_gyro"):
+        assert read[name].rate_hz == pytest.approx(500.0)
+        offset = read[name].time[0] - flight[name].time[0]
+        np.testing.assert_allclose(read[name].time - offset, flight[name].time, atol=2e-6)
+        np.testing.assert_allclose(read[name].values, flight[name].values, rtol=1e-5, atol=1e-5)
+    assert read["raw_accel"].source == "ACC"
+    silent = replace(flight, signals={k: v for k, v in flight.signals.items() if k != "esc"})
+    assert "raw_accel" not in raw_of(silent, tmp_path, write_dataflash, "silent.bin").signals  # nobody needs it
+
+
+def test_px4s_blocks_of_samples_are_read_at_their_times(tmp_path):
+    flight = hovering("PX4")
+    read = raw_of(flight, tmp_path, write_ulog, "x.ulg")
+    for name, step in (("raw_accel", 9.80665 / 2048.0), ("raw_gyro", np.radians(2000.0) / 32768.0)):
+        found, true = read[name], flight[name]
+        n = len(found)
+        assert n == len(true) // 8 * 8 and found.source == f"sensor_{name[4:]}_fifo"
+        np.testing.assert_allclose(found.time, true.time[:n], atol=3e-6)
+        np.testing.assert_allclose(found.values, true.values[:n], atol=0.51 * step)
+    assert values(heard(read)) == pytest.approx([4.0, 3.0, 5.0, 2.0], rel=0.1)
+    silent = replace(flight, signals={k: v for k, v in flight.signals.items() if k != "esc"})
+    assert "raw_accel" not in raw_of(silent, tmp_path, write_ulog, "silent.ulg").signals
+
+
+class Batches:
+    """A log of ISBH and ISBD records, as `dataflash_raw` reads them."""
+
+    def __init__(self, rate, batches):
+        """batches: (number, type, start [s], scale, samples (n, 3))."""
+        self.counts = {"ISBH": 1, "ISBD": 1}
+        self.head = np.array([[n, what, 0, scale, (start + 0.3) * 1e6, start * 1e6, rate] for n, what, start, scale, _ in batches], float)
+        self.times = np.array([start + 0.3 for _, _, start, _, _ in batches])
+        parts = [(n, k, s[32 * k : 32 * k + 32]) for n, _, _, scale, s in batches for k in range(len(s) // 32)]
+        scales = {n: scale for n, _, _, scale, _ in batches}
+        xyz = np.stack([np.round(part * scales[n]) for n, _, part in parts]).astype("<i2")
+        self.data = {"N": np.array([n for n, _, _ in parts]), "seqno": np.array([k for _, k, _ in parts])}
+        self.data |= {axis: xyz[..., k] for k, axis in enumerate("xyz")}
+
+    def table(self, name, columns, where=None):
+        if name == "ISBH":
+            return self.times, self.head, {}
+        return Table(name, np.arange(len(self.data["N"])), self.data, {})
+
+
+def test_ardupilots_batches_of_samples_are_put_together():
+    rng = np.random.default_rng(4)
+    accel = [rng.normal(0.0, 5.0, (256, 3)) for _ in range(3)]
+    gyro = [rng.normal(0.0, 0.5, (256, 3)) for _ in range(3)]
+    rows = [(2 * k, 0, 1.0 + k, 800.0, a) for k, a in enumerate(accel)] + [(2 * k + 1, 1, 1.4 + k, 8000.0, g) for k, g in enumerate(gyro)]
+    log = Batches(1000.0, rows)
+    found = dataflash_raw.read(log, None, log.table)
+    for name, parts, start, scale in (("raw_accel", accel, 1.0, 800.0), ("raw_gyro", gyro, 1.4, 8000.0)):
+        signal = found[name]
+        assert len(signal) == 768
+        times = np.concatenate([start + k + np.arange(256) / 1000.0 for k in range(3)])
+        np.testing.assert_allclose(signal.time, times, atol=1e-9)
+        np.testing.assert_allclose(signal.values, np.concatenate(parts), atol=0.51 / scale)
+
+
+def test_a_sensor_that_is_faster_than_needed_is_thinned():
+    time = np.arange(0.0, 2.0, 1.0 / 8000.0)
+    signal = raw_sensors.build("raw_gyro", time, np.zeros((time.size, 3)), "sensor_gyro_fifo")
+    assert signal.rate_hz == pytest.approx(1000.0)
+    assert raw_sensors.build("raw_gyro", time[::800], np.zeros((len(time[::800]), 3)), "sensor_gyro") is None

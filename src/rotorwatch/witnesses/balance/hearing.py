@@ -3,13 +3,13 @@
     log                 acceleration                                     angular rate
     Blackbox            accUnfiltered (Indiflight)                       gyroUnfilt, gyroRaw
     ArduPilot           ACC, ISBD; IMU through INS_ACCEL_FILTER          GYR, ISBD; IMU through INS_GYRO_FILTER
-    PX4                 sensor_accel, sensor_accel_fifo;                 sensor_gyro, sensor_gyro_fifo;
-                        sensor_combined, a mean over its interval        sensor_combined
+    PX4                 sensor_accel_fifo; sensor_accel and              sensor_gyro_fifo; sensor_gyro and
+                        sensor_combined, means over their intervals      sensor_combined
 
 What is left of a tone of f Hz behind these, which the fit divides by:
 
     a low-pass of order 2 (ArduPilot's LowPassFilter2p, Butterworth)     1 / sqrt(1 + (f / f_c)^4)
-    a mean over T (PX4's sensor_combined integrates between samples)     |sin(pi f T) / (pi f T)|
+    a mean over T (PX4's sensor_accel, sensor_combined)                  |sin(pi f T) / (pi f T)|
 
 Sources: https://ardupilot.org/copter/docs/logmessages.html; libraries/Filter/LowPassFilter2p.cpp of ArduPilot;
 https://docs.px4.io/main/en/msg_docs/SensorCombined.html; https://betaflight.com/docs/development/Blackbox-Internals
@@ -38,7 +38,7 @@ SPEEDS = {
 SENSORS = {
     "blackbox": "Log the unfiltered gyro (gyroUnfilt; before 4.3 debug_mode = GYRO_SCALED) at 500 Hz or more.",
     "ardupilot": "Log the raw sensors: INS_RAW_LOG_OPT = 1 with LOG_BITMASK bit 19, or INS_LOG_BAT_MASK = 1 with INS_LOG_BAT_OPT = 0.",
-    "px4": "Set SDLOG_PROFILE bit 5 (sensor comparison) and 9 (raw FIFO high-rate IMU): sensor_accel_fifo and sensor_gyro_fifo.",
+    "px4": "Set SDLOG_PROFILE bit 9 (raw FIFO high-rate accelerometer; bit 8: gyro): sensor_accel_fifo.",
     "": "Log the unfiltered accelerometer (signal raw_accel) at 500 Hz or more.",
 }
 
@@ -106,7 +106,8 @@ def _channels(flight: Flight) -> list[Channel]:
     found = []
     for kind in ("accel", "gyro"):
         if flight.has(f"raw_{kind}"):
-            found.append(Channel(flight[f"raw_{kind}"], kind == "accel"))
+            raw = flight[f"raw_{kind}"]
+            found.append(Channel(raw, kind == "accel", mean_s=1.0 / raw.rate_hz if raw.source == f"sensor_{kind}" else 0.0))
         if not flight.has(kind):
             continue
         signal = flight[kind]
