@@ -12,6 +12,7 @@ from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Weight, kind_of
 from rotorwatch.logs import dataflash_raw, raw_sensors
 from rotorwatch.logs.dataflash_binary import Table
+from rotorwatch.report import figures as report_figures
 from rotorwatch.report.info import info
 from rotorwatch.witnesses.balance import figures, hearing, judge, orders
 from rotorwatch_lab.simulation import vibration
@@ -340,7 +341,14 @@ def test_a_diagnosis_measures_it_and_says_it_everywhere(hover, tmp_path):
     assert loud.to_dict()["rotors"][1]["imbalance"]["unit"] == "g mm/kg"
     assert Diagnosis.from_dict(loud.to_dict()).rotors[1].imbalance["value"] == pytest.approx(loud.rotors[1].imbalance["value"])
     loud.to_html(tmp_path / "report.html")
-    assert "out of balance" in (tmp_path / "report.html").read_text("utf-8")
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "out of balance" in page and "<h2>Balance of each rotor</h2>" in page
+    drawn = report_figures.plots(loud)
+    assert {"balance", "spectrogram"} <= set(drawn)
+    assert drawn["spectrogram"].x_range is drawn["loss"].x_range
+    assert drawn["spectrogram"].y_range.end == pytest.approx(250.0, rel=1e-3)
+    assert "Balance of each rotor" in loud.to_markdown()
+    assert "balance" not in report_figures.plots(plain)
 
 
 def test_a_vehicle_file_keeps_the_figures_of_healthy_flights(hover, tmp_path):

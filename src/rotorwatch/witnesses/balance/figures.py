@@ -29,14 +29,15 @@ from rotorwatch.witnesses.balance import hearing, orders
 from rotorwatch.witnesses.balance.hearing import Channel
 from rotorwatch.witnesses.balance.orders import Windows
 
-APART = 2.0  # largest inflation of the variance with which a window tells a rotor from the others
+APART = 4.0  # largest inflation of the variance with which a window tells a rotor from the others
 USUAL = 0.15  # of its usual speed, within which a rotor's windows are compared
 LEAST_WINDOWS = 10
 CONFIDENCE_SD = 1.96
 FAR = 4.0
 BLADES = (2, 3)
 MICRO = 1e6
-ENOUGH = 4000  # samples that show how many blades pass in a turn, and whether the poles are right
+TRIAL = 24  # windows that show how long they must be, how many blades pass in a turn, and whether the poles are right
+LONGER, MOSTLY = (1.0, 2.0, 4.0), 0.5  # lengths of windows that are tried; share in which the rotor that is least apart must be
 ALIKE = 0.5  # correlation of two tones from which they are hardly ever apart
 GRID_S, LATE_S, LEAST_GRID = 0.1, 0.03, 50  # for the comparison of speeds with commands; of a motor behind its command
 EXCHANGED_FIT, EXCHANGED_BETTER = 0.6, 0.3
@@ -104,15 +105,16 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     rows = within(signal.time, air) & signal.whole
     time, values = signal.time[rows], signal.values[rows]
     speed = orders.at(time, *reported)
-    window_s = max(orders.WINDOW_S, orders.TURNS * 2.0 * np.pi / float(usual.min()))
-    some = slice(None) if time.size < ENOUGH else slice(time.size // 2 - ENOUGH // 2, time.size // 2 + ENOUGH // 2)
+    shortest = max(orders.WINDOW_S, orders.TURNS * 2.0 * np.pi / float(usual.min()))
 
-    def trial(factor: float, blades: int) -> Windows | None:
-        return orders.fit(time[some], values[some], factor * speed[some], channel.exponent, (1, blades), window_s)
+    def trial(factor: float, blades: int, window_s: float) -> Windows | None:
+        return orders.fit(time, values, factor * speed, channel.exponent, (1, blades), window_s, TRIAL)
 
-    fits = [(float(median(w.left)), k) for k in BLADES if (w := trial(1.0, k)) is not None]
-    if not fits:
+    tried = [(w, t) for t in (shortest * factor for factor in LONGER) if (w := trial(1.0, BLADES[0], t)) is not None]
+    if not tried:
         return None
+    window_s = next((t for w, t in tried if _apart(w) > MOSTLY), max(tried, key=lambda one: _apart(one[0]))[1])
+    fits = [(float(median(w.left)), k) for k in BLADES if (w := trial(1.0, k, window_s)) is not None]
     kept = (1, min(fits)[1])
 
     def fitted(of: np.ndarray) -> Heard | None:
@@ -122,7 +124,8 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     found = fitted(speed)
     if found is None:
         return None
-    doubts = tuple(filter(None, (_exchanged(flight, *reported, air), _other_poles(flight, found, lambda factor: trial(factor, kept[1])))))
+    poles = _other_poles(flight, found, lambda factor: trial(factor, kept[1], window_s))
+    doubts = tuple(filter(None, (_exchanged(flight, *reported, air), poles)))
     if doubts:
         return found._replace(figures=(None,) * rotors, doubts=doubts)
     if (groups := _alike(found)) == [(k,) for k in range(rotors)]:
@@ -174,6 +177,12 @@ def _alike(found: Heard) -> list[tuple[int, ...]]:
                 one, other = sorted((group[k], group[int(np.argmax(beside))]))
                 group = [one if g == other else g for g in group]
     return [tuple(k for k in range(n) if group[k] == g) for g in sorted(set(group))]
+
+
+def _apart(windows: Windows) -> float:
+    """The share of windows in which the rotor that is least often apart from the others is."""
+    turning = windows.speed > 0.0
+    return float(((windows.inflation[:, 0] < APART) & turning).sum(axis=0).min() / max(int(turning.all(axis=1).sum()), 1))
 
 
 def _exchanged(flight: Flight, time: np.ndarray, speed: np.ndarray, valid: np.ndarray, air: Spans) -> str:

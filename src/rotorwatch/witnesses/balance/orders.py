@@ -4,8 +4,8 @@ The angle of rotor r is the integral of its measured speed w_r. In a window, eac
 
     a(t) = motion + sum_r sum_k w_r(t)^p (C_rk cos k phi_r + S_rk sin k phi_r) + noise,      phi_r = integral of w_r dt,
 
-with the motion a polynomial of order MOTION. All rotors and orders are fitted together by least squares. p is 2 for an accelerometer (an
-unbalance m e makes the force m e w^2) and 1 for a gyro (the integral of an angular acceleration that grows as w^2), so that the
+with the motion a line and cosines up to MOTION_HZ. All rotors and orders are fitted together by least squares. p is 2 for an accelerometer
+(an unbalance m e makes the force m e w^2) and 1 for a gyro (the integral of an angular acceleration that grows as w^2), so that the
 coefficients c = C - j S are those of acceleration over speed squared. As the angles are known at the samples' own times, a tone above half
 the sampling rate is fitted at its alias as well as any other.
 
@@ -27,12 +27,13 @@ import numpy as np
 from rotorwatch.base.arrays import median
 
 WINDOW_S, TURNS = 0.15, 15.0  # a window: this long, and at least so many turns of the slowest rotor
-MOTION = 4  # order of the polynomial: motion below about 10 Hz
+MOTION_HZ = 10.0
 NEIGHBOURS = (-2.5, -1.5, 1.5, 2.5)  # resolutions 1/T
 STANDING = 125.0  # rad/s; below 20 turns a second a tone cannot be told from motion
 LONGEST = 1.5  # typical sampling intervals: a longer one is a gap
 SPEED_GAP_S = 0.125  # between two reports of a speed, to integrate it
 MOST = 240  # windows of a flight, spread over it: enough for an interval of a tenth, within a tenth of a second
+ENOUGH = 3.0  # samples of a window for each unknown: of more, every second, third .. is taken
 CELLS = 1 << 15  # samples times columns fitted at once
 TINY = 1e-6  # on the diagonal, so that two rotors at one speed have a fit at all
 EXTRA = 2.0  # samples for each unknown, at least
@@ -63,19 +64,25 @@ class Windows(NamedTuple):
 
 
 def fit(
-    time: np.ndarray, values: np.ndarray, speed: np.ndarray, exponent: float, orders: tuple[int, ...] = (1, 2), window_s: float = WINDOW_S
-) -> Windows | None:
+    time: np.ndarray, values: np.ndarray, speed: np.ndarray, exponent: float, orders: tuple[int, ...] = (1, 2), window_s: float = WINDOW_S,
+    most: int = MOST,
+) -> Windows | None:  # fmt: skip
     """The orders of each rotor; None where no window is whole.
 
     time (n,) s: of the samples; values (n, 3): m/s^2 or rad/s. speed (n, R): of the rotors at these times, rad/s, NaN where unknown.
-    exponent: p above. window_s: length of a window."""
-    rows = windows(time, speed, window_s, MOTION + 1 + 2 * len(orders) * speed.shape[1])
+    exponent: p above. window_s: length of a window; most: windows, spread over the flight."""
+    rows = windows(time, speed, window_s, motions(window_s) + 2 * len(orders) * speed.shape[1])
     if not len(rows):
         return None
-    rows = rows[:: -(-len(rows) // MOST)]
+    rows = rows[:: -(-len(rows) // most)]
     step = max(1, CELLS // rows.shape[1] // (1 + speed.shape[1]))
-    parts = [_fit(time, values, speed, exponent, orders, rows[k : k + step]) for k in range(0, len(rows), step)]
+    parts = [_fit(time, values, speed, exponent, orders, motions(window_s), rows[k : k + step]) for k in range(0, len(rows), step)]
     return Windows(*(np.concatenate(field) for field in zip(*parts, strict=True)))
+
+
+def motions(window_s: float) -> int:
+    """Number of columns for the motion in a window."""
+    return 2 + round(2.0 * window_s * MOTION_HZ)
 
 
 def windows(time: np.ndarray, speed: np.ndarray, window_s: float, unknowns: int) -> np.ndarray:
@@ -92,7 +99,7 @@ def windows(time: np.ndarray, speed: np.ndarray, window_s: float, unknowns: int)
     starts = [np.arange(a, b - count + 1, count) for a, b in itertools.pairwise(edges) if b - a >= count]
     starts = np.concatenate(starts) if starts else np.zeros(0, int)
     starts = starts[~np.isnan(speed[starts]).any(axis=1)]
-    return starts[:, None] + np.arange(count)
+    return starts[:, None] + np.arange(0, count, max(1, int(count / (ENOUGH * unknowns))))
 
 
 def at(time: np.ndarray, reported: np.ndarray, speed: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -111,8 +118,8 @@ def at(time: np.ndarray, reported: np.ndarray, speed: np.ndarray, valid: np.ndar
     return out
 
 
-def _fit(time, values, speed, exponent, orders, rows) -> tuple[np.ndarray, ...]:
-    """The fields of `Windows` of the windows `rows` (W, n)."""
+def _fit(time, values, speed, exponent, orders, first, rows) -> tuple[np.ndarray, ...]:
+    """The fields of `Windows` of the windows `rows` (W, n); first: number of columns of the motion."""
     t, y, w = time[rows], values[rows], speed[rows]
     n, rotors = rows.shape[1], speed.shape[1]
     turns = (w > STANDING).all(axis=1)  # (W, R)
@@ -131,11 +138,10 @@ def _fit(time, values, speed, exponent, orders, rows) -> tuple[np.ndarray, ...]:
     for k in range(1, len(orders)):
         tones[..., k, :] = tones[..., k - 1, :] * (turn if orders[k] - orders[k - 1] == 1 else turn ** (orders[k] - orders[k - 1]))
     tones = tones.reshape(*rows.shape, -1)
-    first, size = MOTION + 1, MOTION + 1 + 2 * len(orders) * rotors
+    size = first + 2 * len(orders) * rotors
     X = np.empty((*rows.shape, size), np.float32)
-    X[..., 0] = 1.0
-    for k in range(1, first):
-        X[..., k] = X[..., k - 1] * x
+    X[..., 0], X[..., 1] = 1.0, x
+    X[..., 2:first] = np.cos(0.5 * np.pi * np.arange(1, first - 1) * (x[..., None] + 1.0))
     X[..., first:] = tones.view(np.float32)  # cosine and minus sine of each
     turned = X.transpose(0, 2, 1)
     gram = (turned @ X).astype(float)
