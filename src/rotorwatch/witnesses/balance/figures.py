@@ -36,7 +36,7 @@ CONFIDENCE_SD = 1.96
 FAR = 4.0
 BLADES = (2, 3)
 MICRO = 1e6
-TRIAL = 24  # windows that show how long they must be, how many blades pass in a turn, and whether the poles are right
+TRIAL = 20  # windows that show how long they must be, how many blades pass in a turn, and whether the poles are right
 LONGER, MOSTLY = (1.0, 2.0, 4.0), 0.5  # lengths of windows that are tried; share in which the rotor that is least apart must be
 ALIKE = 0.5  # correlation of two tones from which they are hardly ever apart
 GRID_S, LATE_S, LEAST_GRID = 0.1, 0.03, 50  # for the comparison of speeds with commands; of a motor behind its command
@@ -110,11 +110,17 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     def trial(factor: float, blades: int, window_s: float) -> Windows | None:
         return orders.fit(time, values, factor * speed, channel.exponent, (1, blades), window_s, TRIAL)
 
-    tried = [(w, t) for t in (shortest * factor for factor in LONGER) if (w := trial(1.0, BLADES[0], t)) is not None]
+    tried: list[tuple[float, float, Windows]] = []
+    for factor in LONGER:
+        if (w := trial(1.0, BLADES[0], shortest * factor)) is not None:
+            tried.append((_apart(w), shortest * factor, w))
+            if tried[-1][0] > MOSTLY:
+                break
     if not tried:
         return None
-    window_s = next((t for w, t in tried if _apart(w) > MOSTLY), max(tried, key=lambda one: _apart(one[0]))[1])
-    fits = [(float(median(w.left)), k) for k in BLADES if (w := trial(1.0, k, window_s)) is not None]
+    _, window_s, first = max(tried, key=lambda one: one[0])
+    others = ((k, trial(1.0, k, window_s)) for k in BLADES[1:])
+    fits = [(float(median(w.left)), k) for k, w in ((BLADES[0], first), *others) if w is not None]
     kept = (1, min(fits)[1])
 
     def fitted(of: np.ndarray) -> Heard | None:
