@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rotorwatch
+from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal, kinds, vehicle_file
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Weight, kind_of
@@ -15,7 +16,8 @@ from rotorwatch.logs.dataflash_binary import Table
 from rotorwatch.report import figures as report_figures
 from rotorwatch.report.info import info
 from rotorwatch.witnesses.balance import figures, hearing, judge, orders
-from rotorwatch_lab.simulation import vibration
+from rotorwatch_lab.experiments import imbalance
+from rotorwatch_lab.simulation import scenario, simulate, vibration
 from rotorwatch_lab.simulation.write_dataflash import write_dataflash
 from rotorwatch_lab.simulation.write_ulog import write_ulog
 
@@ -121,6 +123,20 @@ def test_rotors_at_one_speed_are_named_together_and_apart_where_they_part():
     parted = heard(flown([1.0, 0.5, 1.4, 0.2], speed=parting))
     assert values(parted) == pytest.approx([1.0, 0.5, 1.4, 0.2], abs=0.08)
     assert parted.figures[2].windows < parted.figures[1].windows
+
+
+def test_a_change_of_rotors_at_one_speed_names_them_all():
+    def changing(t):
+        u = np.tile([0.8, 0.5, 1.2, 0.4], (t.size, 1))
+        u[t > 14.0, 2] *= 3.0
+        return u
+
+    def alike(t):
+        return wandering(t)[:, [0, 1, 0, 3]] + [0.0, 0.0, 0.5, 0.0]
+
+    time = np.arange(0.0, 30.0, 1.0 / 504.0)
+    (found,) = judge.findings(heard(flown(changing(time), duration=30.0, speed=alike)))
+    assert found.rotors == (1, 3) and found.onset == pytest.approx(14.0, abs=1.5)
 
 
 @pytest.mark.parametrize("rotor", [0, 2])
@@ -453,3 +469,40 @@ def test_a_sensor_that_is_faster_than_needed_is_thinned():
     signal = raw_sensors.build("raw_gyro", time, np.zeros((time.size, 3)), "sensor_gyro_fifo")
     assert signal.rate_hz == pytest.approx(1000.0)
     assert raw_sensors.build("raw_gyro", time[::800], np.zeros((len(time[::800]), 3)), "sensor_gyro") is None
+
+
+@pytest.mark.parametrize(("autopilot", "name"), [("ardupilot", "x.bin"), ("px4", "x.ulg")])
+def test_a_simulated_flight_in_which_an_imbalance_grew(autopilot, name, tmp_path):
+    plan = scenario.from_table(
+        {
+            "duration_s": 50.0, "seed": 3, "autopilot": autopilot, "wind": {"speed_m_s": 3.0},
+            "airframe": {"frame": "quad-x", "rotor_spread": 0.1},
+            "sensors": {"imbalance": 8.0, "imbalance_rotor": 2, "imbalance_times": 3.0, "imbalance_onset_s": 28.0},
+            "logging": {"esc": True, "raw_hz": 1000.0},
+        }
+    )  # fmt: skip
+    simulate(plan).write(tmp_path / name)
+    found = rotorwatch.diagnose(tmp_path / name)
+    assert [(e.kind, e.rotors) for e in found.events if "balance" in e.kind] == [(kinds.UNBALANCED, (2,))]
+    (event,) = (e for e in found.events if e.kind == kinds.UNBALANCED)
+    assert event.onset_s == pytest.approx(28.0, abs=2.0) and event.extra["ratio"] == pytest.approx(3.0, rel=0.3)
+    assert found.verdict == "healthy"
+
+
+def test_an_unbalance_put_into_a_flight_is_found_there_alone():
+    flight = flown([1.0, 0.5, 1.2, 0.6], duration=30.0)
+    for rotor, own in enumerate((1.0, 0.5, 1.2, 0.6), 1):
+        more = imbalance.inject(flight, rotor, np.sqrt(3.0) * own, 15.0, phase=np.pi / 2)
+        assert [f.rotors for f in judge.findings(heard(more))] == [(rotor,)]
+    for wrong in (
+        {"rotor": 7}, {"onset": 99.0}, {"sensor": "accel"},
+    ):  # fmt: skip
+        with pytest.raises(ConfigError):
+            imbalance.inject(flight, **({"rotor": 1, "amount": 1.0, "onset": 15.0} | wrong))
+
+
+def test_drawn_flights_have_the_imbalance_that_they_say():
+    drawn = imbalance.simulated(5, 4, 40.0)
+    assert drawn.rotor == 0 and not judge.findings(heard(drawn.flight))
+    doubled = imbalance.simulated(4, 4, 60.0, times=3.0)
+    assert [f.rotors for f in judge.findings(heard(doubled.flight))] == [(doubled.rotor,)]

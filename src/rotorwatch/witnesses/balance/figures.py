@@ -37,7 +37,7 @@ FAR = 4.0
 BLADES = (2, 3)
 MICRO = 1e6
 TRIAL = 20  # windows that show how long they must be, how many blades pass in a turn, and whether the poles are right
-LONGER, MOSTLY = (1.0, 2.0, 4.0), 0.5  # lengths of windows that are tried; share in which the rotor that is least apart must be
+LONGER, MOSTLY = (1.0, 2.0, 4.0, 8.0), 0.5  # lengths of windows that are tried; share in which the rotor that is least apart must be
 ALIKE = 0.5  # correlation of two tones from which they are hardly ever apart
 GRID_S, LATE_S, LEAST_GRID = 0.1, 0.03, 50  # for the comparison of speeds with commands; of a motor behind its command
 EXCHANGED_FIT, EXCHANGED_BETTER = 0.6, 0.3
@@ -141,12 +141,21 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     merged = fitted(np.where(first, speed, 0.0))  # one tone for the rotors of a group
     if merged is None:
         return found
-    figures = list(found.figures)
+    return _joined(found, merged, groups)
+
+
+def _joined(found: Heard, merged: Heard, groups: Sequence[tuple[int, ...]]) -> Heard:
+    """What is heard, with the rotors of each group (from 0) as one: what `merged` heard at the first of them."""
+    figures, used, own = list(found.figures), found.used.copy(), found.windows
     for group in groups:
-        figure = merged.figures[group[0]]
-        for k in group if len(group) > 1 else ():
+        if len(group) == 1:
+            continue
+        first, figure = group[0], merged.figures[group[0]]
+        for k in group:
             figures[k] = None if figure is None else _shared(figure, group)
-    used = np.where([len(next(g for g in groups if k in g)) > 1 for k in range(rotors)], False, found.used)
+            used[:, k] = merged.used[:, first] & (k == first)
+        for name in ("power", "noise", "phase", "inflation"):
+            getattr(own, name)[:, :, first] = getattr(merged.windows, name)[:, :, first]
     return found._replace(figures=tuple(figures), used=used)
 
 

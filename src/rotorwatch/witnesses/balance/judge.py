@@ -167,7 +167,7 @@ def _rise(found: Heard, k: int, onset: float) -> tuple[float, Figure] | None:
         return None
     squares = []
     for part in (before, after):
-        back = 0.5 / found.channel.left(w.speed[part, k] / (2.0 * np.pi)) ** 2
+        back = 0.5 / len(figure.together) / found.channel.left(w.speed[part, k] / (2.0 * np.pi)) ** 2
         squares.append([MICRO * np.sqrt(max(v, 0.0)) for v in mean(w.power[part, 0, k] * back, w.noise[part, 0, k] * back)])
     least = max(squares[0][0], 0.5 * figure.noise, 1e-9)
     later = figure._replace(value=squares[1][0], low=squares[1][1], high=squares[1][2], windows=int(after.sum()))
