@@ -2,9 +2,9 @@
 
     python benchmarks/balance.py [--count 1000] [--jobs 2] [--real FOLDER]
 
-Simulated: quadrotors and hexarotors with speeds at 1 kHz (or telemetry at 50 Hz), healthy ones, ones with a rotor whose imbalance doubles
-in flight, and ones with a chipped blade, which lost a piece that shifts 1.2e-4 radii (5 % of its length: 3 % of a blade of 0.4 % of the
-vehicle's mass) or twice that. Real: each flight of a folder gets twice its own imbalance on each rotor in turn, at its middle.
+Simulated: quadrotors and hexarotors with an accelerometer and speeds at 500 Hz (or telemetry at 50 Hz), healthy ones, ones with a rotor
+whose imbalance doubles in flight, and ones with a chipped blade, which lost a piece that shifts 1.2e-4 radii (5 % of its length: 3 % of a
+blade of 0.4 % of the vehicle's mass) or twice that. Real: in each flight of a folder the tone of each rotor in turn doubles at its middle.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.witnesses.balance import figures, judge
 from rotorwatch_lab.experiments import imbalance
 
-DURATION_S = 90.0
+DURATION_S, RATE_HZ = 60.0, 500.0
 CHIP = 1.2e-4  # radii; the radius by a tip speed of 120 m/s in hover
 TIP_M_S = 120.0
 CASES = {
@@ -49,7 +49,7 @@ def one(task: tuple[int, int, str]) -> str:
     if chip:
         usual = np.exp(np.random.default_rng([seed, rotors]).uniform(np.log(500.0), np.log(2000.0)))  # as `simulated` draws it
         more["adds"] = chip * CHIP * TIP_M_S / usual / 1e-6
-    drawn = imbalance.simulated(seed, rotors, DURATION_S, **more)
+    drawn = imbalance.simulated(seed, rotors, DURATION_S, RATE_HZ, **more)
     return outcome(figures.listen(drawn.flight, rotors, ((0.0, DURATION_S),)), drawn)
 
 
@@ -64,7 +64,7 @@ def real(path: str) -> list[str]:
     results = ["false" if judge.findings(found) else "none"]
     for rotor, figure in enumerate(found.figures, 1):
         assert figure is not None
-        more = imbalance.inject(flight, rotor, np.sqrt(3.0) * figure.value, middle, phase=float(rotor))  # at any angle: twice, on average
+        more = imbalance.inject(flight, rotor, 0.0, middle, times=2.0)
         results.append(outcome(figures.listen(more, n, air), imbalance.Drawn(more, rotor, middle, np.zeros(n))))
     return results
 

@@ -18,29 +18,55 @@ from rotorwatch_lab.simulation import vibration
 
 NAMES = ("x", "y", "z")
 EASES_S = 1.0
+WINDOW_S = 0.15
 
 
-def inject(flight: Flight, rotor: int, amount: float, onset: float, phase: float = 0.0, sensor: str = "raw_accel") -> Flight:
+def inject(
+    flight: Flight, rotor: int, amount: float, onset: float, phase: float = 0.0, sensor: str = "raw_accel", times: float = 1.0
+) -> Flight:
     """The flight as its sensor would have measured it had a rotor got a further unbalance of `amount` g mm/kg at `onset` s.
 
-    rotor: 1-based. phase: of the new unbalance at the onset [rad]. sensor: an accelerometer's signal. The speeds must be logged. Raises
-    ConfigError where the flight lacks them, the sensor or the rotor."""
+    rotor: 1-based. phase: of the new unbalance against the logged angle at the log's begin [rad]; as logged speeds are rounded, the true
+    angle drifts away from it, and old and new unbalance add up at any angle. sensor: an accelerometer's signal. times: from then on the
+    rotor's own tone is so many times as strong, in its own phase. The speeds must be logged. Raises ConfigError where the flight lacks
+    them, the sensor or the rotor."""
     if not flight.has("esc", sensor):
         raise ConfigError(f"An unbalance needs the rotors' speeds (signal esc) and the signal {sensor}; this flight lacks them.")
     esc, signal = flight["esc"], flight[sensor]
-    if f"speed{rotor}" not in esc.columns:
+    names = [name for name in esc.columns if name.startswith("speed")]
+    if f"speed{rotor}" not in names:
         raise ConfigError(f"Rotor {rotor}: the flight has no speed of it.")
-    column = esc.columns.index(f"speed{rotor}")
-    known = esc.valid[:, column]
-    if known.sum() < 2 or not signal.time[0] <= onset < signal.time[-1]:
-        raise ConfigError(f"Onset {onset:g} s lies outside the flight, or the speed of rotor {rotor} is never known.")
-    speed = np.interp(signal.time, esc.time[known], esc.values[known, column])[:, None]
-    angle = vibration.angles(signal.time, speed) + phase
-    size = np.where(signal.time >= onset, amount, 0.0)[:, None]
-    values = signal.values + vibration.acceleration(angle, speed, size, vibration.rigid(np.ones(1)))
-    changed = replace(signal, values=values)
-    facts = {**flight.facts, "injected": {"rotors": [rotor], "imbalance": float(amount), "onset_s": float(onset)}}
+    known = [esc.valid[:, esc.columns.index(name)] for name in names]
+    if min(k.sum() for k in known) < 2 or not signal.time[0] <= onset < signal.time[-1]:
+        raise ConfigError(f"Onset {onset:g} s lies outside the flight, or a rotor's speed is never known.")
+    columns = [(esc.time[k], esc.values[k, esc.columns.index(name)]) for name, k in zip(names, known)]
+    speed = np.stack([np.interp(signal.time, *column) for column in columns], axis=1)
+    angle, one = vibration.angles(signal.time, speed), names.index(f"speed{rotor}")
+    later = (signal.time >= onset)[:, None]
+    new = vibration.acceleration(angle[:, [one]] + phase, speed[:, [one]], np.array([amount]), vibration.rigid(np.ones(1)))
+    if times != 1.0:
+        new = new + (times - 1.0) * _own(signal, angle, one)
+    changed = replace(signal, values=signal.values + np.where(later, new, 0.0))
+    facts = {**flight.facts, "injected": {"rotors": [rotor], "imbalance": float(amount), "times": float(times), "onset_s": float(onset)}}
     return replace(flight, signals={**flight.signals, sensor: changed}, facts=facts)
+
+
+def _own(signal: Signal, angle: np.ndarray, one: int) -> np.ndarray:
+    """(n, 3) the tone of a rotor (from 0) in a sensor: all rotors' fitted together in windows of WINDOW_S that overlap by half, and the
+    amplitude between their middles."""
+    time, count = signal.time, max(round(WINDOW_S * signal.rate_hz), 4 * angle.shape[1])
+    middles, found = [], []
+    for start in range(0, len(time) - count + 1, max(1, count // 2)):
+        rows = slice(start, start + count)
+        x = np.linspace(-1.0, 1.0, count)
+        tones = np.exp(1j * angle[rows])
+        columns = np.column_stack([x[:, None] ** np.arange(5), tones.real, tones.imag])
+        fitted = np.linalg.lstsq(columns, signal.values[rows], rcond=None)[0][5:]
+        middles.append(time[start + count // 2])
+        found.append(fitted[one] - 1j * fitted[angle.shape[1] + one])
+    amplitude = np.array(found)
+    smooth = np.stack([np.interp(time, middles, a.real) + 1j * np.interp(time, middles, a.imag) for a in amplitude.T], axis=1)
+    return (smooth * np.exp(1j * angle[:, [one]])).real
 
 
 class Drawn(NamedTuple):
