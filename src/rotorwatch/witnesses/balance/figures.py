@@ -170,7 +170,9 @@ def heard(channel: Channel, windows: Windows, kept: tuple[int, ...], rate_hz: fl
             near[:, k] = turning & (np.abs(windows.speed[:, k] / usual - 1.0) < USUAL)
     used = near & (windows.inflation[:, 0] < APART)
     found = [_figure(channel, windows, used[:, k], k) for k in range(rotors)]
-    return Heard(channel, tuple(found), windows, used, kept, rate_hz)
+    signal = channel.signal  # an answer does not keep its samples
+    none = signal.with_arrays(np.zeros(0), np.zeros((0, signal.values.shape[1])), np.zeros((0, signal.values.shape[1]), bool))
+    return Heard(channel._replace(signal=none), tuple(found), windows, used, kept, rate_hz)
 
 
 def _shared(figure: Figure, group: tuple[int, ...]) -> Figure:
