@@ -562,6 +562,18 @@ def test_revolutions_of_the_motors(file):
     np.testing.assert_allclose(esc.values[5, :3], np.array([90_000, 100_000, 110_000]) / 6 * 2 * np.pi / 60)
 
 
+def test_speeds_and_the_unfiltered_accelerometer_of_indiflight(file):
+    more = [Field(f"{name}[{k}]") for name, n in (("accUnfiltered", 3), ("omega", 8), ("omegaUnfiltered", 8)) for k in range(n)]
+    log = writer.betaflight(more=more, **{"Firmware revision": "Indiflight 5.0.0 (abc) STM32H743"})
+    speeds = {f"omegaUnfiltered_{k}": 1900 + k for k in range(4)} | {f"omega_{k}": 1800 for k in range(4)}
+    flight = logs.read(file("x.bfl", small(log, accUnfiltered_0=1024, accUnfiltered_2=2048, accSmooth_2=2048, **speeds).bytes()))
+    np.testing.assert_allclose(flight["raw_accel"].values[5], [0.5 * 9.80665, 0.0, -9.80665])
+    np.testing.assert_allclose(flight["accel"].values[5], [0.0, 0.0, -9.80665])
+    np.testing.assert_allclose(flight["esc"].values[5, :4], [1900.0, 1901.0, 1902.0, 1903.0])
+    assert flight["esc"].columns[:5] == ("speed1", "speed2", "speed3", "speed4", "current1")
+    assert flight["esc"].source == "omegaUnfiltered[0] .."
+
+
 def test_attitude_velocity_and_position_of_inav(file):
     more = [Field(f"{name}[{k}]") for name in ("attitude", "navPos", "navVel", "axisRate") for k in range(3)]
     log = writer.betaflight(more=more, **{"Firmware type": "INAV", "Firmware revision": "INAV 7.1.2 (abc) MATEKF405", "minthrottle": 1050})

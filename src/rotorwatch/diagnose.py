@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -173,17 +174,20 @@ def _beside(case: Case, done: Estimated, answer: Answer, clock: _Clock) -> dict[
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not answer.doubts and case.hovers else {}
     times, hyp = (case.air, case.ready_s, done.limit), list_hypotheses(B.shape[1])
     trace = traces.compose(case.flight, out, table, hyp, B, *times, end.events, answer.evidence, end.rotors)
-    return {"common_mode": common, "comparison": comparison, "whole_flight": answer.whole, "trace": trace, "own": done.series}
+    whole = answer.facts.get("whole_flight")
+    return {"common_mode": common, "comparison": comparison, "whole_flight": whole, "trace": trace, "own": done.series}
 
 
 def _diagnosis(case: Case, answer: Answer, clock: _Clock, **more) -> Diagnosis:
-    flight, craft, end = case.flight, case.vehicle, answer.end
+    flight, craft, end, balance = case.flight, case.vehicle, answer.end, answer.facts.get("imbalance")
+    if balance is not None:
+        end = end._replace(rotors=tuple(replace(r, imbalance=found) for r, found in zip(end.rotors, balance.to_dict())))
     return Diagnosis(
         flight=_facts(flight, craft, case.air, case.table), verdict=end.verdict, reason=end.reason, rotors=end.rotors, events=end.events,
         baseline=case.source, assumptions=(*case.assumptions, *answer.assumptions), warnings=(*case.warnings, *answer.warnings),
         timing=clock.stop(), headline=end.headline, main=end.main, advice=end.advice, story=end.story,
         picture=picture.compose(flight, craft, end.events, end.main, case.air), aircraft=identity.identify(flight).text,
-        doubts=answer.doubts, **{"common_mode": {}, **more},
+        doubts=answer.doubts, balance=balance, **{"common_mode": {}, **more},
     )  # fmt: skip
 
 

@@ -310,7 +310,7 @@ class Case:
                 found = witness.ask(Stage.SETUP, view, found)
         found = _of(hop, ledger.believed(found, until))
         said = tuple(view.assumptions), tuple(view.warnings)
-        return Claims(found, _in(hop, view.open), doubts, before, view.facts.get("whole_flight"), *said)
+        return Claims(found, _in(hop, view.open), doubts, before, view.facts, *said)
 
     def answer(
         self, hop: tuple[float, float] | None = None, bounds: Bounds | None = None, progress: Callable[[float], object] | None = None

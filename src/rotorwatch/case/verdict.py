@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 
 class Claims(NamedTuple):
     """events: those that stand as things look now. open: open claims that none of them explains. doubts: why the samples contradict
-    themselves. before: the events before comparison. whole: the comparison with healthy flights, None without. assumptions, warnings: of
-    the witnesses, sentences."""
+    themselves. before: the events before comparison. facts: the witnesses' results by name, for the report. assumptions, warnings: of the
+    witnesses, sentences."""
 
     events: Events
     open: Events = ()
     doubts: tuple[str, ...] = ()
     before: Events = ()
-    whole: dict | None = None
+    facts: Mapping[str, Any] = {}
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -49,13 +49,13 @@ class Bounds(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """end: the conclusion. doubts: why the samples contradict themselves. evidence: open claims. whole, assumptions, warnings: as of
+    """end: the conclusion. doubts: why the samples contradict themselves. evidence: open claims. facts, assumptions, warnings: as of
     `Claims`."""
 
     end: conclusion.Conclusion
     doubts: tuple[str, ...] = ()
     evidence: Events = ()
-    whole: dict | None = None
+    facts: Mapping[str, Any] = {}
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -77,12 +77,12 @@ def conclude(case: Case, claims: Claims, known: Bounds, air: Spans) -> Answer:
     missing = tuple(g for g in case.missing if g.lasts and air[-1][0] <= g.start <= air[-1][1])
     seen = conclusion.Evidence(
         claims.events, case.B.shape[1], known.hidden, known.pair, known.judged_s, claims.open, places.names(case.vehicle.rotors), air,
-        trends, case.hovers and claims.whole is None, missing, case.matters, judged_until=known.judged_until, blind_s=known.blind_s,
+        trends, case.hovers and "whole_flight" not in claims.facts, missing, case.matters, judged_until=known.judged_until, blind_s=known.blind_s,
     )  # fmt: skip
     if done is not None:
         seen = _explained(case, seen, doubts)
     evidence = tuple(seen.residual_evidence)
-    return Answer(conclusion.conclude(seen, doubts), doubts, evidence, claims.whole, claims.assumptions, claims.warnings)
+    return Answer(conclusion.conclude(seen, doubts), doubts, evidence, claims.facts, claims.assumptions, claims.warnings)
 
 
 def _explained(case: Case, seen: conclusion.Evidence, doubts: Sequence[str]) -> conclusion.Evidence:

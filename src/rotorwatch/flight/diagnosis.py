@@ -25,7 +25,7 @@ ANSWER = (
 EVENT = (
     "kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval", "probability", "reason",
 )  # fmt: skip
-ROTOR = ("rotor", "place", "loss", "interval", "status", "since_takeoff", "from_takeoff", "note", "grade", "trend")
+ROTOR = ("rotor", "place", "loss", "interval", "status", "since_takeoff", "from_takeoff", "note", "grade", "trend", "imbalance")
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ class RotorState:
     slow), failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
     since_takeoff: 95 % interval of the change since take-off, where judged. from_takeoff: not judged, healthy, bounded (by healthy vehicles
     of any build), suspect or damaged. note: its history, in a few words. grade: of the interval of the loss, or of its change since
-    take-off where no more was judged: healthy, worn, weak, critical, failed, two of them, or not judged. trend: None where unknown."""
+    take-off where no more was judged: healthy, worn, weak, critical, failed, two of them, or not judged. trend: None where unknown.
+    imbalance: value, interval, unit and more of its vibration once per turn (docs/balance.md), None where the log cannot hear it."""
 
     rotor: int
     loss: float
@@ -63,6 +64,7 @@ class RotorState:
     note: str = ""
     grade: str = "not judged"
     trend: Trend | None = None
+    imbalance: Mapping[str, Any] | None = None
 
 
 class Source(NamedTuple):
@@ -221,7 +223,8 @@ class Diagnosis:
     for plots. doubts: why the log may not show the real flight, a sentence each (the first is then the reason). story: the sequence of a
     loss of control, four sentences in order of time, or empty. picture: attitude and commands around it (docs/json.md), or None. aircraft:
     its identity, such as a serial number; empty where the log has none; not in the JSON. own: of a published method, its own series over
-    the flight (`own_estimate` of the JSON)."""
+    the flight (`own_estimate` of the JSON). balance: what a sensor hears of the rotors (witnesses/balance/figures.py), for the report, not
+    in the JSON."""
 
     flight: Mapping[str, Any]
     verdict: str
@@ -245,6 +248,7 @@ class Diagnosis:
     picture: Mapping[str, Any] | None = None
     aircraft: str = ""
     own: MethodSeries | None = None
+    balance: Any = None
 
     @property
     def exit_code(self) -> int:

@@ -26,6 +26,10 @@ vibration  level                           m/s^2    deviation of the acceleromet
 clipping   count                           1        samples at the end of the accelerometer's range since boot. Likewise innovat-   velocity
 position height        1        innovations of the autopilot's estimator, relative to its limit: at 1 a
 ions       compass                                  measurement is rejected (name: innovations). Likewise
+raw_accel  x y z                           m/s^2    the accelerometer before the autopilot's filters, or with the least of them, as
+                                                    fast as the log has it; only where `accel` is another. Only rotors' vibration is
+                                                    taken from it (witnesses/balance)
+raw_gyro   x y z                           rad/s    the same of the gyro
 esc        speed1 .. current1 ..           rad/s,A, ESC telemetry where logged, rotor order: speed of the rotor, current and
            voltage1 .. temperature1 ..     V,degC   voltage at the ESC's input, temperature of the ESC
 ========== =============================== ======== ==================================================================

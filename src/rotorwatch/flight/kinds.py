@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 LOSS, OVERRIDE, CONTACT, LOST = "loss_of_effectiveness", "output_override", "contact", "loss_of_control"
 ORDER, TURNED = "motor_order", "turned_mount"
 EVIDENCE, FROM_TAKEOFF = "unexplained_evidence", "damage_from_takeoff"
-# Of these a witness holds the row: witnesses/aerobatic, esc, reports.py, healthy and rivals.py.
+# Of these a witness holds the row: witnesses/aerobatic, esc, reports.py, healthy, balance and rivals.py.
 DESYNC = "desync"
 SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 REPORTED = "autopilot_report"
 AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
 STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
 SLOW_RESPONSE = "slow_response"
+OUT_OF_BALANCE, UNBALANCED = "out_of_balance", "became_out_of_balance"
 UNKNOWN = -1  # number of a kind that the table lacks
 
 

@@ -9,6 +9,7 @@ Signals and their messages (instance 0 of sensors that come in several):
     velocity, position   XKF1, NKF1 or EKF1  gps, baro  GPS; BARO where no EKF is logged
     throttle  CTUN ThO or ThrOut               battery   BAT or CURR
     lift      MOTB                             esc       ESC, ESC1.., CESC: see dataflash_esc
+    raw_accel, raw_gyro  ACC, GYR, ISBD: see dataflash_raw
     vibration, clipping  VIBE                  innovations  XKF4, NKF4 or EKF4, of the first core
 
 Times count from the smallest time stamp of any record; 3.0 and 3.1 have none: see dataflash_clock.
@@ -24,7 +25,7 @@ import numpy as np
 from rotorwatch.base.arrays import median, quantile
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import dataflash_esc, parameter_ranges, series, wall_clock
+from rotorwatch.logs import dataflash_esc, dataflash_raw, parameter_ranges, series, wall_clock
 from rotorwatch.logs import dataflash_events as events
 from rotorwatch.logs import dataflash_rotors as rotors
 from rotorwatch.logs.dataflash_binary import SDLOG2, BinaryLog, amount
@@ -103,6 +104,7 @@ def read(data, name: str, progress=None) -> Flight:
         reader.place,
         reader.power,
         reader.esc,
+        reader.raw,
         reader.limited,
     )
     for step in steps:
@@ -435,6 +437,13 @@ class _Signals:
         signal = dataflash_esc.read(self.log, self.table, self.outputs, self.warnings)
         if signal is not None:
             self.signals["esc"] = signal
+
+    def raw(self) -> None:
+        """Unfiltered sensors, where there are rotor speeds: nothing else needs them. Damage in them causes no warning."""
+        if "esc" in self.signals:
+            warnings = list(self.warnings)
+            self.signals |= dataflash_raw.read(self.log, self.instance, self.table)
+            self.warnings = warnings
 
 
 def _typical_peak(values: np.ndarray) -> float:

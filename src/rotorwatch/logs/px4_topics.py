@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.flight import Message, vehicle_kind
-from rotorwatch.logs import px4_outputs, px4_reports, series, wall_clock
+from rotorwatch.logs import px4_outputs, px4_raw, px4_reports, series, wall_clock
 
 TOPICS = (
     *"actuator_armed actuator_controls_0 actuator_motors actuator_outputs battery_status esc_status sensor_combined sensor_gps".split(),
@@ -19,6 +19,8 @@ TOPICS = (
     *px4_reports.TOPICS,
 )
 """The topics that are read; all others, simulator truth among them, never are."""
+RAW, SPEEDS = px4_raw.TOPICS, "esc_status"
+"""Topics that are read as well where the log has the topic SPEEDS."""
 
 MAV_TYPES = {
     2: ("quadrotor", 4),
@@ -118,7 +120,8 @@ def signals(topics: Topics, parameters) -> tuple[dict, dict]:
         "position": topics.signal("position", "vehicle_local_position", ["x", "y", "z"], valid=["xy_valid", "xy_valid", "z_valid"]),
         "battery": battery,
         "gps": _gps(topics),
-        "esc": _esc(topics, parameters),
+        "esc": (esc := _esc(topics, parameters)),
+        **(px4_raw.signals(topics) if esc is not None else {}),
         **px4_reports.limited(topics),
     }
     motors, facts = _motors(topics, parameters)

@@ -47,6 +47,8 @@ SHAPES = {
     "rates": (("x", "y", "z"), "rad/s", "FRD", 100.0),
     "rates_wanted": (("x", "y", "z"), "rad/s", "FRD", 100.0),
     "accel": (("x", "y", "z"), "m/s^2", "FRD", 1000.0),
+    "raw_accel": (("x", "y", "z"), "m/s^2", "FRD", 1000.0),
+    "raw_gyro": (("x", "y", "z"), "rad/s", "FRD", 100.0),
     "attitude": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),
     "attitude_wanted": (("w", "x", "y", "z"), "1", "FRD->NED", 1.1),
     "velocity": (("n", "e", "d"), "m/s", "NED", 300.0),
@@ -259,8 +261,8 @@ def fastest(*candidates: Signal | None) -> Signal | None:
     return best
 
 
-SHOWN = ("gps", "baro", "vibration", "clipping", "innovations")
-"""Signals that no rotor is judged by: a log of them alone holds no flight, and they do not prolong one."""
+SHOWN = ("gps", "baro", "vibration", "clipping", "innovations", "raw_accel", "raw_gyro")
+"""Signals that no rotor's thrust is judged by: a log of them alone holds no flight, and they do not prolong one."""
 
 
 def end_of(signals) -> float:

@@ -36,7 +36,7 @@ def read(data, name: str, progress=None) -> Flight:
     from pyulog import ULog
 
     log, damaged, cut = _whole(ULog, data, progress)
-    tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in px4_topics.TOPICS}
+    tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in (*px4_topics.TOPICS, *px4_topics.RAW)}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
     parameters, impossible = parameter_ranges.checked({k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)})
@@ -88,10 +88,10 @@ def _pyulog(ulog, file, **options):
 def _whole(ulog, data, progress):
     """(log, damaged, cut): all topics of interest. Of an intact log pyulog reads all but the data, and `ulog_data` that."""
     topics = [*px4_topics.TOPICS, px4_reports.EVENTS]
-    data_messages = ulog_data.messages(data, topics)
+    data_messages = ulog_data.messages(data, topics, {px4_topics.SPEEDS: px4_topics.RAW})
     if data_messages is not None:
         _check_definitions(data_messages.formats)
-        log, damaged = _pyulog(ulog, _File(data_messages.rest, progress), message_name_filter_list=topics)
+        log, damaged = _pyulog(ulog, _File(data_messages.rest, progress), message_name_filter_list=[*topics, *px4_topics.RAW])
         if not damaged and data_messages.fill(log):
             return log, False, data_messages.cut
     else:

@@ -7,7 +7,8 @@ announced again, or data behind the end - is left to pyulog, which recovers from
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -70,8 +71,9 @@ class Messages(NamedTuple):
         return out
 
 
-def messages(data: Any, wanted: Collection[str]) -> Messages | None:
-    """The messages of a log, with data messages of the topics `wanted` alone; None where pyulog has to read all of it."""
+def messages(data: Any, wanted: Collection[str], beside: Mapping[str, Collection[str]] = MappingProxyType({})) -> Messages | None:
+    """The messages of a log, with data messages of the topics `wanted` alone; None where pyulog has to read all of it. beside: topic ->
+    those that are wanted as well where the log has it."""
     if ULOG.library is None or len(data) >= 1 << 31:
         return None
     raw = np.frombuffer(data, np.uint8)
@@ -100,6 +102,7 @@ def messages(data: Any, wanted: Collection[str]) -> Messages | None:
     if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(unique.tolist(), first.tolist())):
         return None
     names = {i: bytes(raw[places[k] + 3 : places[k] + sizes[k]]).decode("latin-1") for i, k in topics.items()}
+    wanted = {*wanted, *(name for topic, more in beside.items() if topic in names.values() for name in more)}
     ids[~np.isin(ids, [i for i, name in names.items() if name in wanted])] = -1
     kept = ~is_data
     kept[[k for i, k in zip(unique.tolist(), first.tolist()) if i >= 0]] = True

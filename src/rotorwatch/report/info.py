@@ -24,6 +24,7 @@ from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import SCHEMA
 from rotorwatch.flight.vehicle import Vehicle
+from rotorwatch.witnesses.balance import hearing
 
 # Faster logging than this finds nothing sooner; of vehicles that never hover no short moment.
 FAST_HZ, FAST_BLACKBOX_HZ = 50.0, 500.0
@@ -99,7 +100,8 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
 
     Returns schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
     airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
-    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` judges it;
+    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` judges it; hears: whether it shows the rotors'
+    balance: {ready, why, setting, sensor};
     missing: [{signal, why, setting, needed, present: it is there, and would show more faster}]; warnings. docs/json.md has more on each.
     """
     frame, warnings = _frame(flight)
@@ -123,6 +125,7 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
         "parameters": len(flight.parameters),
         "messages": _messages(flight),
         "ready": stop is None,
+        "hears": _hears(flight),
         "missing": missing,
         "warnings": [*flight.warnings, *warnings],
     }
@@ -175,6 +178,16 @@ def _signal(name: str, signal: Signal) -> dict:
         "start_s": round(float(signal.time[0]), 3) if some else None,
         "end_s": round(float(signal.time[-1]), 3) if some else None,
     }
+
+
+def _hears(flight: Flight) -> dict:
+    """Whether the rotors' balance can be heard, and if not, which setting would log what is missing."""
+    deaf = hearing.deaf(flight, flight.rotor_count)
+    sensor = hearing.sensor(flight, flight.rotor_count) if deaf is None else None
+    if deaf is None and sensor is not None:
+        return {"ready": True, "why": "", "setting": "", "sensor": sensor.signal.source}
+    why, setting = deaf or ("", "")
+    return {"ready": False, "why": why, "setting": setting, "sensor": ""}
 
 
 def _frame(flight: Flight) -> tuple[str, list[str]]:

@@ -300,6 +300,13 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     for gap in facts["missing"]:
         tint = "red" if gap["needed"] else "dim"
         list_.add_row(Text(" •", style=tint), Text(gap["why"]).append(f" {gap['setting']}", "dim"))
+    hears = facts["hears"]
+    if hears["ready"]:
+        list_.add_row(Text(" •", style="dim"), Text(f"It shows each rotor's balance, by {hears['sensor']}."))
+    else:
+        list_.add_row(
+            Text(" •", style="dim"), Text(f"It does not show the rotors' balance: {hears['why']}.").append(f" {hears['setting']}", "dim")
+        )
     for sentence in facts["warnings"]:
         list_.add_row(Text(" !", style="yellow"), Text(sentence))
     return Group(*parts, list_)

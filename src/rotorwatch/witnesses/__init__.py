@@ -13,5 +13,6 @@ battery.py               whether the battery's voltage fell by more than its cur
 upset/                   vehicles that departed controlled flight, and why
 esc/                     ESC telemetry: the cause of a loss, stopped rotors, slow motors
 aerobatic/               vehicles that never hover
+balance/                 rotors out of balance, by their vibration once per turn
 healthy/                 comparison with healthy flights, of the vehicle or of any build, for damage from take-off
 """

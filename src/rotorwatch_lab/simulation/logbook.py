@@ -16,7 +16,7 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import esc_columns
 from rotorwatch.logs.series import SHAPES
-from rotorwatch_lab.simulation import escs, sensors, trajectories, truth
+from rotorwatch_lab.simulation import escs, sensors, trajectories, truth, vibration
 from rotorwatch_lab.simulation.logged import LOGGED
 from rotorwatch_lab.simulation.multirotor import Plan, Record
 from rotorwatch_lab.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, told, vehicle
@@ -24,6 +24,7 @@ from rotorwatch_lab.simulation.scenario import Scenario
 
 RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))
 SUFFIXES = {".bin": "ardupilot", ".ulg": "px4"}
+RAW_SOURCES = {"ardupilot": "ACC", "px4": "sensor_accel_fifo"}
 JITTER_S = 0.0005  # a record's stamp is up to this much later than its values
 ARMED_S = 1.0  # arming, after the log's start
 DETECTED_S = 0.5  # after a hop the autopilot says that it has landed
@@ -59,6 +60,8 @@ def flight(scenario: Scenario, plan: Plan, record: Record) -> Flight:
     if scenario.logging["esc"]:
         log.add("esc", "power", escs.readings(scenario, plan, record), unit=esc_columns.UNIT)
     log.add("attitude_wanted", "attitude", record.q_setpoint)
+    if scenario.logging["raw_hz"]:
+        log.signals |= _raw(scenario, plan, record)
     end = float(record.time[-1])
     autopilot = "ArduPilot" if ardupilot else "PX4"
     return Flight(
@@ -121,6 +124,29 @@ def _arming(plan: Plan, record: Record) -> tuple[float, float]:
     down = float(trajectories.touch_down(plan.way)) + 1.0
     crash = np.flatnonzero(np.asarray(record.flies) < 0.5)
     return ARMED_S, min(down, float(record.time[crash[0]]) + 1.0 if crash.size else np.inf)
+
+
+def _raw(scenario: Scenario, plan: Plan, record: Record) -> dict[str, Signal]:
+    """The unfiltered accelerometer of a frame that passes the rotors' vibration, and with `esc` the rotors' speeds as often."""
+    rng, s, hz = np.random.default_rng([scenario.seed, 6]), scenario.sensors, scenario.logging["raw_hz"]
+    time = np.arange(float(record.time[0]), float(record.time[-1]), 1.0 / hz)
+    turning = 2.0 * np.pi * float(plan.sensors.full_turns) * record.w
+    speed = np.stack([np.interp(time, record.time, w) for w in turning.T], axis=1)
+    rotors, usual = speed.shape[1], float(np.median(speed[speed > 0.0])) if (speed > 0.0).any() else 1.0
+    unbalance = np.tile(rng.rayleigh(s["imbalance"] / np.sqrt(0.5 * np.pi), rotors), (time.size, 1))
+    changed = min(s["imbalance_rotor"], rotors) - 1
+    unbalance[:, changed] *= np.where(time >= s["imbalance_onset_s"], s["imbalance_times"], 1.0)
+    frame = vibration.drawn(np.sign([r.spin for r in vehicle(scenario).rotors]), usual, rng)
+    angle = vibration.angles(time, speed) + rng.uniform(0.0, 2.0 * np.pi, rotors)
+    values = np.stack([np.interp(time, record.time, a) for a in record.accel.T], axis=1)
+    values = values + vibration.acceleration(angle, speed, unbalance, frame) + np.asarray(plan.sensors.accel_bias)
+    values += s["accel_noise"] * np.sqrt(0.5 * hz) * rng.standard_normal(values.shape)
+    columns, unit, axes, _ = SHAPES["raw_accel"]
+    signals = {"raw_accel": Signal(time, values, columns, unit, axes, RAW_SOURCES[scenario.autopilot])}
+    if scenario.logging["esc"]:
+        late, step = escs.LATE_S[0], 2.0 * np.pi * 100.0 / 60.0 / escs.POLE_PAIRS
+        signals["esc"] = vibration.reported(time, speed, hz, late, step)
+    return signals
 
 
 def _motors(craft: Vehicle, record: Record, armed, disarmed, lifted, ardupilot: bool) -> np.ndarray:

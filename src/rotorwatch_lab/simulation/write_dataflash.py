@@ -20,6 +20,7 @@ from rotorwatch_lab.simulation.logged import LOGGED, in_order
 HEAD = b"\xa3\x95"
 MESSAGES: dict[str, tuple[int, str, str]] = {name: tuple(row) for name, row in LOGGED["dataflash"].items()}
 """Name -> (type, format, columns)."""
+RAW = {"raw_accel": "ACC", "raw_gyro": "GYR"}
 CODES = {"Q": "Q", "f": "f", "B": "B", "M": "B", "H": "H", "I": "I", "c": "h", "n": "4s", "N": "16s", "Z": "64s"}
 EVENTS = {("armed", 1.0): 10, ("armed", 0.0): 11, ("landed", 1.0): 18, ("landed", 0.0): 28}
 
@@ -34,7 +35,8 @@ def dataflash(flight: Flight) -> bytes:
     if not flight.autopilot.lower().startswith("ardu"):
         raise ConfigError(f"a DataFlash log is ArduPilot's; this flight is of {flight.autopilot}: write a ULog.")
     records = [_packed(*message, flight.start_us) for message in _tables(flight)]
-    first = [_record("FMT", t, _size(f), n.encode(), f.encode(), c.encode()) for n, (t, f, c) in MESSAGES.items()]
+    used = {n: row for n, row in MESSAGES.items() if n not in RAW.values() or any(RAW.get(s) == n for s in flight.signals)}
+    first = [_record("FMT", t, _size(f), n.encode(), f.encode(), c.encode()) for n, (t, f, c) in used.items()]
     first += [_record("MSG", flight.start_us, flight.firmware.encode())]
     first += [_record("PARM", flight.start_us, k.encode(), v, v) for k, v in sorted(flight.parameters.items())]
     return b"".join([*first, in_order(records, _events(flight))])
@@ -74,6 +76,11 @@ def _tables(flight: Flight):
         yield "MOTB", s["lift"].time, s["lift"].values
     if "esc" in s:
         yield from _escs(s["esc"])
+    for name, message in RAW.items():
+        if name in s:
+            time = s[name].time
+            stamps = flight.start_us + np.round(time * 1e6)
+            yield message, time, np.column_stack([np.zeros(len(time)), stamps, s[name].values])
 
 
 def _escs(esc: Signal):

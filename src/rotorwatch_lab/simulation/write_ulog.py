@@ -21,9 +21,11 @@ from rotorwatch_lab.simulation.write_dataflash import nearest
 MAGIC = b"ULog\x01\x12\x35\x01"
 TOPICS, NESTED = LOGGED["ulog"]["topics"], LOGGED["ulog"]["nested"]
 SIZES = {"uint64_t": "<u8", "uint32_t": "<u4", "int32_t": "<i4", "float": "<f4", "bool": "u1"}
-SIZES |= {"uint16_t": "<u2", "uint8_t": "u1", "int8_t": "i1"}
+SIZES |= {"int16_t": "<i2", "uint16_t": "<u2", "uint8_t": "u1", "int8_t": "i1"}
 WHOLE = ("CA_AIRFRAME", "CA_ROTOR_COUNT", "MAV_TYPE", "MC_BAT_SCALE_EN", "SYS_AUTOSTART")
 ESCS = 8
+FIFO, FIFO_LATE_S = 8, 0.0005  # samples of a block; from its last one to its message
+FIFO_SCALES = {"accel": 9.80665 / 2048.0, "gyro": np.radians(2000.0) / 32768.0}
 MOTOR_1 = 101  # actuator_function
 ARMED, STANDBY = 2, 1
 
@@ -130,6 +132,9 @@ def _tables(flight: Flight):
         yield topic("battery_status", s["battery"].time, voltage_v=volts, current_a=amps)
     if "esc" in s:
         yield "esc_status", _escs(flight, s["esc"])
+    for name, scale in FIFO_SCALES.items():
+        if f"raw_{name}" in s:
+            yield f"sensor_{name}_fifo", _blocks(flight, s[f"raw_{name}"], f"sensor_{name}_fifo", scale)
     yield "vehicle_status", _status(flight)
     landed = [m for m in flight.messages if m.kind == "landed"]
     yield topic("vehicle_land_detected", np.array([m.time for m in landed]), landed=[m.value > 0.5 for m in landed])
@@ -148,6 +153,19 @@ def _escs(flight: Flight, esc: Signal) -> np.ndarray:
         reports["esc_rpm"][:, k], reports["esc_current"][:, k] = np.round(speed / esc_columns.RPM), amps
         reports["esc_voltage"][:, k], reports["esc_temperature"][:, k] = volts, degrees
         reports["esc_address"][:, k], reports["actuator_function"][:, k] = k, MOTOR_1 + k
+    return rows
+
+
+def _blocks(flight: Flight, signal: Signal, name: str, scale: float) -> np.ndarray:
+    """The samples of a sensor in blocks of FIFO, as it hands them out; a rest is left out. scale: m/s^2 or rad/s of a count."""
+    blocks = len(signal) // FIFO
+    last = signal.time[FIFO - 1 : blocks * FIFO : FIFO]
+    rows = _blank(name, flight, last + FIFO_LATE_S)
+    rows["timestamp_sample"] = flight.start_us + np.round(last * 1e6).astype(np.int64)
+    rows["dt"], rows["scale"], rows["samples"] = 1e6 / signal.rate_hz, scale, FIFO
+    counts = np.clip(np.round(signal.values[: blocks * FIFO] / scale), -32768, 32767).reshape(blocks, FIFO, 3)
+    for k, axis in enumerate("xyz"):
+        rows[axis][:, :FIFO] = counts[..., k]
     return rows
 
 

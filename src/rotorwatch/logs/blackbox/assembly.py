@@ -4,13 +4,15 @@
     gyro, rates   gyroUnfilt or gyroRaw, else gyroADC; gyroADC, which the controller used
     rates_wanted  setpoint[0..2], INAV axisRate[0..2]
     accel         accSmooth over acc_1G
+    raw_accel     accUnfiltered over acc_1G (Indiflight)
     control       axisP + axisI + axisD + axisF over 1000, and setpoint[3] over 1000, where that is logged (Betaflight from 4.0)
     throttle      setpoint[3], else rcCommand[3], from 1000 to 2000
     attitude      imuQuaternion[0..2] (Betaflight), attitude[0..2] in tenths of a degree (INAV)
     velocity, position   navVel, navPos (INAV, cm, up); GPS_velned (cm/s)
     baro          BaroAlt, baroAlt (cm)
     battery       vbatLatest or vbat, amperageLatest or amperage
-    esc           eRPM[0] .. (hundreds of electrical revolutions a minute, by motor_poles), escRPM[0] ..
+    esc           eRPM[0] .. (hundreds of electrical revolutions a minute, by motor_poles), escRPM[0] .., or Indiflight's
+                  omegaUnfiltered[0] .., else omega[0] .. (rad/s)
 
 Betaflight and its relatives have x forward, y left, z up, both in the body and in the world (north, west, up), with right-handed rotations:
 their pitch is positive nose down, their yaw to the left (imu.c: `rMat`, `imuUpdateEulerAngles`). The attitude angles are those of aircraft
@@ -42,8 +44,8 @@ MOST_ROTORS = 16
 ENOUGH = 20_000  # rows for the fit of the mixer
 LEAST_ROWS, LEAST_STD, FITS = 200, 2.0, 0.8
 USED = re.compile(
-    r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|setpoint|axisRate|axis[PIDFS]|rcCommand|motor|eRPM|escRPM|imuQuaternion|attitude|navVel"
-    r"|navPos)\[\d{1,2}\]|vbatLatest|vbat|amperageLatest|amperage|[bB]aroAlt)"
+    r"(time|(gyroADC|gyroUnfilt|gyroRaw|accSmooth|accUnfiltered|setpoint|axisRate|axis[PIDFS]|rcCommand|motor|eRPM|escRPM|omega"
+    r"|omegaUnfiltered|imuQuaternion|attitude|navVel|navPos)\[\d{1,2}\]|vbatLatest|vbat|amperageLatest|amperage|[bB]aroAlt)"
 )
 FIRMWARES = ("Betaflight", "INAV", "EmuFlight", "Cleanflight", "Baseflight", "ButterFlight", "Rotorflight")
 
@@ -117,7 +119,8 @@ def signals(columns: Columns) -> tuple[dict[str, Signal], dict[str, Any]]:
         "gyro": gyro,
         "rates": rates,
         "rates_wanted": columns.signal("rates_wanted", wanted, source),
-        "accel": _accel(columns),
+        "accel": _accel(columns, "accel", "accSmooth"),
+        "raw_accel": _accel(columns, "raw_accel", "accUnfiltered"),
         "attitude": _attitude(columns),
         "velocity": _nav(columns, "velocity", "navVel"),
         "position": _nav(columns, "position", "navPos"),
@@ -189,14 +192,15 @@ def _mixer(share: np.ndarray, demand: np.ndarray) -> dict[str, Any]:
     return {"mixer": np.round(factors.T, 3).tolist()} if explained > FITS else {}
 
 
-def _accel(columns: Columns) -> Signal | None:
-    raw, unit = columns.three("accSmooth"), columns.header.number("acc_1G")
+def _accel(columns: Columns, kind: str, name: str) -> Signal | None:
+    raw, unit = columns.three(name), columns.header.number("acc_1G")
     if raw is None or not np.any(raw):
         return None
     if unit <= 0:
-        columns.notes.append("The header has no accelerometer scale: the accelerometer is ignored.")
+        if kind == "accel":
+            columns.notes.append("The header has no accelerometer scale: the accelerometer is ignored.")
         return None
-    return columns.signal("accel", raw / unit * G0 * FLIP, "accSmooth")
+    return columns.signal(kind, raw / unit * G0 * FLIP, name)
 
 
 def _attitude(columns: Columns) -> Signal | None:
@@ -265,8 +269,10 @@ def altitude_unit(header: Header) -> float:
 
 
 def _esc(columns: Columns) -> Signal | None:
-    for name in ("eRPM", "escRPM"):
+    for name in ("eRPM", "escRPM", "omegaUnfiltered", "omega"):
         names = columns.numbered(name)
+        if name.startswith("omega"):
+            names = names[: len(columns.numbered("motor"))]  # the firmware logs eight, whatever it drives
         values = columns.get(*names) if names else None
         if values is None or not np.any(values):
             continue
@@ -276,9 +282,9 @@ def _esc(columns: Columns) -> Signal | None:
                 columns.notes.append(f"The header has no number of motor poles: {POLES:.0f} assumed.")
                 poles = POLES
             values = values * 100.0 / (poles / 2.0)
-        return esc_columns.build(
-            columns.time, {"speed": values * esc_columns.RPM}, range(1, len(names) + 1), f"{names[0]} ..", columns.notes
-        )
+        if not name.startswith("omega"):
+            values = values * esc_columns.RPM
+        return esc_columns.build(columns.time, {"speed": values}, range(1, len(names) + 1), f"{names[0]} ..", columns.notes)
     return None
 
 

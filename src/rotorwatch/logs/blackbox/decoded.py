@@ -50,7 +50,7 @@ def read(data, name: str, progress=None) -> Flight:
         factor = 1.0
         if kind in ("gyroADC", "gyroUnfilt", "gyroRaw"):
             factor = TURNS.get(unit)
-        elif kind == "accSmooth":
+        elif kind in ("accSmooth", "accUnfiltered"):
             factor = FORCES.get(unit, 0.0) * 1000.0
         elif column in ("vbat", "vbatLatest"):
             factor = VOLTS.get(unit)

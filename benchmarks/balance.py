@@ -1,0 +1,90 @@
+"""How well rotors that are out of balance are found: simulated flights with figures, and unbalances put into real flights.
+
+    python benchmarks/balance.py [--count 1000] [--jobs 2] [--real FOLDER]
+
+Simulated: quadrotors and hexarotors with an accelerometer and speeds at 500 Hz (or telemetry at 50 Hz), healthy ones, ones with a rotor
+whose imbalance doubles in flight, and ones with a chipped blade, which lost a piece that shifts 1.2e-4 radii (5 % of its length: 3 % of a
+blade of 0.4 % of the vehicle's mass) or twice that. Real: in each flight of a folder the tone of each rotor in turn doubles at its middle.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+import rotorwatch
+from rotorwatch.engine.motion.air_spans import airborne
+from rotorwatch.witnesses.balance import figures, judge
+from rotorwatch_lab.experiments import imbalance
+
+DURATION_S, RATE_HZ = 60.0, 500.0
+CHIP = 1.2e-4  # radii; the radius by a tip speed of 120 m/s in hover
+TIP_M_S = 120.0
+CASES = {
+    "healthy": {}, "doubled": {"times": 2.0}, "doubled, telemetry at 50 Hz": {"times": 2.0, "telemetry_hz": 50.0},
+    "healthy, telemetry at 50 Hz": {"telemetry_hz": 50.0}, "chipped 5 %": {"chip": 1.0}, "chipped 10 %": {"chip": 2.0},
+}  # fmt: skip
+
+
+def outcome(found, drawn: imbalance.Drawn) -> str:
+    """right, wrong, several (the right one among two), missed or not heard; of a healthy flight false or none."""
+    if found is None:
+        return "not heard"
+    named = [f.rotors for f in judge.findings(found)]
+    if not drawn.rotor:
+        return "false" if named else "none"
+    if any(drawn.rotor not in rotors for rotors in named):
+        return "wrong"
+    return "missed" if not named else "right" if len(named[0]) == 1 else "several"
+
+
+def one(task: tuple[int, int, str]) -> str:
+    seed, rotors, case = task
+    more = dict(CASES[case])
+    chip = more.pop("chip", 0.0)
+    if chip:
+        usual = np.exp(np.random.default_rng([seed, rotors]).uniform(np.log(500.0), np.log(2000.0)))  # as `simulated` draws it
+        more["adds"] = chip * CHIP * TIP_M_S / usual / 1e-6
+    drawn = imbalance.simulated(seed, rotors, DURATION_S, RATE_HZ, **more)
+    return outcome(figures.listen(drawn.flight, rotors, ((0.0, DURATION_S),)), drawn)
+
+
+def real(path: str) -> list[str]:
+    flight = rotorwatch.read(path)
+    air = airborne(flight)
+    n = flight.rotor_count
+    found = figures.listen(flight, n, air)
+    if found is None or any(f is None or len(f.together) > 1 for f in found.figures):
+        return ["not heard"]
+    middle = 0.5 * (air[-1][0] + air[-1][1])
+    results = ["false" if judge.findings(found) else "none"]
+    for rotor, figure in enumerate(found.figures, 1):
+        assert figure is not None
+        more = imbalance.inject(flight, rotor, 0.0, middle, times=2.0)
+        results.append(outcome(figures.listen(more, n, air), imbalance.Drawn(more, rotor, middle, np.zeros(n))))
+    return results
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--real", default="")
+    given = parser.parse_args()
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for case in CASES:
+            count = given.count if case in ("healthy", "doubled") else given.count // 5
+            tasks = [(seed, (4, 6)[seed % 2], case) for seed in range(count)]
+            counted = Counter(pool.map(one, tasks, chunksize=8))
+            print(f"{case}: {dict(counted)} in {count} flights, {count * DURATION_S / 3600.0:.1f} h", flush=True)
+        if given.real:
+            paths = sorted(str(p) for p in Path(given.real).iterdir() if p.suffix not in (".md",))
+            print("real:", dict(Counter(r for results in pool.map(real, paths) for r in results)))
+
+
+if __name__ == "__main__":
+    main()
