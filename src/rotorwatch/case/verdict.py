@@ -122,7 +122,7 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     view = View(
         log.flight, log.vehicle, log.air, (table,), B, out, hovers=log.hovers, default=done.default, known=log.known,
         dynamics=log.dynamics, learned=None if written is None else written.learned, lost=log.lost,
-        merged=lambda claims: merge(claims).events,
+        spins=upset.spins(log.upsets), merged=lambda claims: merge(claims).events,
     )  # fmt: skip
     losses = event_rows.read(out, table, B, None if written is None else written.losses)
     others = (*map(event_rows.overridden, in_flight(log.written.overrides, log.air)), *turned)
