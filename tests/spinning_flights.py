@@ -25,7 +25,8 @@ SHAKES, DRIFTS = 0.6, 0.02  # m/s^2, rad/s: noise of the sensors
 
 
 def fly(losses: tuple[tuple[float, tuple[int, ...]], ...], seconds: float, seed: int, hz: float = 20.0) -> tuple[Flight, Vehicle]:
-    """A flight, and its vehicle. losses: ((time after HOVER_S [s], rotors from 0 that stop then), ...); hz: of the logged commands."""
+    """A flight, and its vehicle. losses: ((time after HOVER_S [s], rotors from 0 that stop then, or none where all work again), ...); hz:
+    of the logged commands."""
     table = scenario.from_table({"airframe": {"frame": "quad-x", "ground_effect": False}})
     craft, vehicle = prepare.plan(table).craft, prepare.vehicle(table)
     vehicle = replace(vehicle, curve=ThrustCurve(0.0, 1.0, 0.0), mixer=None, extra={})
@@ -36,9 +37,9 @@ def fly(losses: tuple[tuple[float, tuple[int, ...]], ...], seconds: float, seed:
     control, parts = SpinningHover(airframe, works, DT), []
     w, state = np.sqrt(control.hover.u), control.init()
     for begin, end, stop in zip(times, times[1:], [(), *(who for _, who in losses)]):
-        works = np.where(np.isin(np.arange(n), stop), 0.0, works)
+        works = np.where(np.isin(np.arange(n), stop), 0.0, works) if stop else np.ones(n)
         for until, knows in ((min(begin + KNOWS_S, end), False), (end, True)):
-            if knows and stop:
+            if knows and begin > KNOWS_S:
                 control = SpinningHover(airframe, works, DT)
                 state = control.init()._replace(f=jnp.asarray(w**2 * works))
             steps = round((until - begin) / DT)

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +16,12 @@ from rotorwatch.live.session import Session
 from rotorwatch.witnesses.upset import loss_of_control, spinning
 from rotorwatch.witnesses.upset.subsets import POWERS, Motion, Subsets, sets_of
 
+REAL = Path(__file__).parent / "real"
 BEGINS_S = IDLE_S + HOVER_S
 ONE = ((0.0, (2,)),)
 THEN_OPPOSITE = ((0.0, (0,)), (8.0, (1,)))
 AT_ONCE = ((0.0, (0, 1)),)
+OVER = ((0.0, (0,)), (5.0, (1,)), (10.0, ()))  # all work again at last
 
 
 @functools.cache
@@ -84,8 +87,18 @@ def test_a_link_names_them_while_the_vehicle_spins():
     assert set(named) == {(1,), (2,)}
     assert named[(1,)] < BEGINS_S + 1.0
     assert named[(2,)] < BEGINS_S + 8.0 + 2.0
+    assert session.flying
+    assert session.blind().startswith("spinning")
     session.finish(flight.duration)
+    assert session.spans[-1][1] == pytest.approx(flight.duration, abs=0.2)
     assert {e.rotors for e in session.events() if e.kind == LOSS and e.end_s is None} == {(1,), (2,)}
+
+
+def test_a_loss_that_ends_is_said_to_be_over():
+    diagnosis = answer(OVER)
+    ends = {e.rotors: e.end_s for e in diagnosis.events if e.kind == LOSS}
+    assert set(ends) == {(1,), (2,)}
+    assert all(BEGINS_S + 10.0 < end < BEGINS_S + 12.0 for end in ends.values())
 
 
 def test_rotors_that_carried_no_part_before_are_not_named():
@@ -156,3 +169,12 @@ def test_a_rotor_that_comes_back_is_told():
 
 def test_sets_of_many_rotors_stay_few():
     assert len(sets_of(4)) == 15 and len(sets_of(8)) == 93 and len(sets_of(12)) == 79
+
+
+def test_a_real_quadrotor_that_lost_two_rotors():
+    """tests/real/SOURCE.md: a controller that does not know, outputs at 10 Hz, a thrust curve that is not in the vehicle's file."""
+    diagnosis = diagnose(REAL / "lost_rotors.csv.xz", REAL / "lost_rotors.toml")
+    losses = {e.rotors: e.onset_s for e in diagnosis.events if e.kind == LOSS and not e.alternatives and e.end_s is None}
+    assert losses == {(1,): pytest.approx(7.53, abs=0.3), (2,): pytest.approx(12.1, abs=0.3)}
+    assert lost(diagnosis).extra["impact_s"] is None
+    assert lost(diagnosis).extra["spins_until_s"] > 14.5

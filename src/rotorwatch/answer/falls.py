@@ -24,6 +24,7 @@ OFF = 0.8  # a rotor that the motion shows to be off has lost at least this much
 TOUCHED_S = 1.0  # from a blow in flight to the loss of control that it causes
 # Time before control is lost within which the autopilot's reports compete as the cause; a low battery stays low.
 REPORTED_S, LOW_S = 30.0, 300.0
+SAME_ONSET_S = 0.4  # of an announcement: the ticks around it tell the onset better, later ones that of a total loss after a partial one
 SOON_S = 0.1  # before an onset: its accuracy
 EARLIER_S = 3.0  # a partial loss of the rotor that then stops
 STOPPED_S = 1.0  # after that, within which the stop of the motors is logged
@@ -154,7 +155,8 @@ def _flown(events_: list[Event], judged: Judged, n: int) -> list[Event]:
             result.append(e)
         elif e.kind == LOSS and (off := _first(e, left)) is not None:
             left.remove(off)
-            named.append(replace(e, alternatives=(), interval=((e.interval[0][0], 1.0),), end_s=off.end))
+            onset = off.onset if abs(off.onset - e.onset_s) < SAME_ONSET_S else e.onset_s
+            named.append(replace(e, onset_s=onset, alternatives=(), interval=((e.interval[0][0], 1.0),), end_s=off.end))
     named += [_went_off(off) for off in left]
     first = min(named, key=lambda e: e.onset_s)
     judged = judged._replace(cause="rotor", found=(), onset=max(judged.onset, first.onset_s), evidence=(first.reason,))

@@ -26,7 +26,6 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses import witness
-from rotorwatch.witnesses.upset.find import spins
 from rotorwatch.witnesses.witness import Events, Stage, View
 
 CHUNK = 64  # ticks that are kept in one table
@@ -205,7 +204,7 @@ class Case:
             known=self.known,
             learned=None if diagnoser is None else diagnoser.learned,
             lost=tuple(j.onset for j in self.departures.found),
-            spins=spins(self.departures.found),
+            spins=self.departures.spins,
             merged=lambda claims: self._merged(claims).events,
         )
 

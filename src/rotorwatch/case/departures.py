@@ -36,6 +36,11 @@ class Departures:
         self._suspected = np.inf
         self._looked = -np.inf
 
+    @property
+    def spins(self) -> Spans:
+        """((start, end), ...) s in which the vehicle spins and flies on."""
+        return upset.spins(self.found)
+
     def of_log(self, flight: Flight, air: Spans, progress: Callable[[float], object] | None = None) -> Spans:
         """Find them in a whole log; its flights `air` ((start, end), ...) s, cut at impacts."""
         self.found = upset.judged(flight, self._vehicle, air, progress)
@@ -48,14 +53,14 @@ class Departures:
         landings = sum(np.isfinite(end) for _, end in spans)
         ended = over or landings != self._landings
         wait = np.clip(now - self._suspected, EVERY_S, SELDOM_S)
-        if ended or now - self._looked >= wait or (now - self._looked >= SPINNING_S and self._spins(window)):
+        if ended or now - self._looked >= wait or (now - self._looked >= SPINNING_S and self._turns(window)):
             self._looked, self._landings = now, landings
             if ended or np.isfinite(self._suspected) or self._departs(window, spans):
                 self._suspected = min(self._suspected, now)
                 self._judge(window, spans, over)
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
-    def _spins(self, window: Window) -> bool:
+    def _turns(self, window: Window) -> bool:
         """Return whether the vehicle turns fast now."""
         turning = window.flight(window.now - SPINNING_S, ("gyro", "rates")).angular_rate()
         return turning is not None and bool((np.abs(turning.values[-10:, 2]) > loss_of_control.SPUN).any())

@@ -35,7 +35,7 @@ FITS, FITS_S = 1.7, 1.0
 SLOWEST_S = 0.2  # ticks: slower ones are no averages
 IDLE, IDLE_S = 0.3, 0.5  # mean demand in hover thrusts, and for how long: it has landed, or falls
 SHOWS_S = 1.0  # after its onset, a rotor off is likelier than not
-BACK_S = 1.0  # a rotor that gives thrust again for this long has come back
+BACK_S, RECOVERS_S = 1.0, 5.0  # a rotor that gives thrust again for this long has come back; after a spin, which ends then
 
 
 class Off(NamedTuple):
@@ -74,7 +74,8 @@ def find(flight: Flight, vehicle: Vehicle, left: LossOfControl, start: float, kn
     if until - since < SPUN_S or not _carried(flight, since, until):
         return None
     trace = known.trace if known is not None and known.since == since else None
-    trace = _followed(flight, vehicle, min(left.onset, since), start, since, until, trace)
+    last = until if left.ground is not None else until + RECOVERS_S
+    trace = _followed(flight, vehicle, min(left.onset, since), start, since, last, trace)
     turns = float(median(np.abs(rates.values[inside, 2]))) / (2.0 * np.pi)
     return FliesOn(since, until, turns, () if trace is None else trace.off(), trace)
 
@@ -204,12 +205,12 @@ class Trace:
 def _changes(when: np.ndarray, p: np.ndarray, fits: np.ndarray, rotor: int, dt: float) -> list[Off]:
     """Every time that a rotor goes off. p (K,): probability that it is; fits (K,) bool: the likeliest set explains the motion."""
     sure = (p >= CERTAIN) & fits
+    clear = (p < 1.0 - CERTAIN) & fits
     found, k, lasts = [], 1, round(BACK_S / dt)
     while k < len(when):
         if not (sure[k] and sure[k - 1]):
             k += 1
             continue
-        clear = p < 1.0 - CERTAIN
         back = next((j for j in range(k + 1, len(when) - lasts) if clear[j : j + lasts].all()), None)
         found.append(Off(rotor, float(when[k]), float(when[k]), None if back is None else float(when[back]), float(p[k:back].max())))
         if back is None:
