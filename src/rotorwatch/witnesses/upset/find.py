@@ -95,7 +95,10 @@ def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
         return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
     start = _lift_off(air, left)
     judged = _judge(flight, vehicle, start, left)
-    return judged._replace(spin=spinning.find(flight, vehicle, judged.left, start))
+    spin = spinning.find(flight, vehicle, judged.left, start)
+    if spin is not None and judged.cause in ("controller", "saturated"):  # no command asks for a spin
+        judged = judged._replace(cause="unknown", evidence=())
+    return judged._replace(spin=spin)
 
 
 def follow(flight: Flight, vehicle: Vehicle, air, known: Judged) -> Judged:
