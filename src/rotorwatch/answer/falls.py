@@ -10,17 +10,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rotorwatch.engine.events.decisions import CREDIBLE, SAME_S, SURE
-from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE, REPORTED
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.explain import Explanation
     from rotorwatch.witnesses.upset.find import Judged
     from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
+    from rotorwatch.witnesses.upset.spinning import FliesOn, Off
 
+SPIN = Source("spin")  # of losses found in a vehicle that spins and flies on
+OFF = 0.8  # a rotor that the motion shows to be off has lost at least this much
 TOUCHED_S = 1.0  # from a blow in flight to the loss of control that it causes
 # Time before control is lost within which the autopilot's reports compete as the cause; a low battery stays low.
 REPORTED_S, LOW_S = 30.0, 300.0
+SAME_ONSET_S = 0.4  # of an announcement: the ticks around it tell the onset better, later ones that of a total loss after a partial one
+SOON_S = 0.1  # before an onset: its accuracy
+EARLIER_S = 3.0  # a partial loss of the rotor that then stops
 STOPPED_S = 1.0  # after that, within which the stop of the motors is logged
 
 
@@ -74,6 +80,8 @@ def _announced_near(events_, left: LossOfControl) -> Event | None:
 def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     """The events with the loss of control and the losses of its rotors, less those that it explains."""
     left, window = judged.left, judged.window
+    if judged.spin is not None and judged.spin.off:
+        return _flown(events_, judged, n)
     weak = _weak(events_, left)
     if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
         since = f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s"
@@ -132,6 +140,46 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     return result
 
 
+def _flown(events_: list[Event], judged: Judged, n: int) -> list[Event]:
+    """The events of a vehicle that spins and flies on without rotors: the balance at any attitude and rate replaces what assumes hover,
+    from the first loss on. An announcement of the same rotor stays, as the earlier one."""
+    spin = judged.spin
+    assert spin is not None
+    begun = min(o.onset for o in spin.off) - SAME_S
+    left = list(spin.off)
+    result, named = [], []
+    for e in events_:
+        if e.kind == CONTACT and begun + SAME_S - SOON_S < e.onset_s <= spin.until:
+            continue  # a rotor that stops jerks the vehicle, and turning makes forces that no hover does
+        if e.kind not in (LOSS, OVERRIDE) or (e.onset_s <= begun and not _first(e, left)):
+            result.append(e)
+        elif e.kind == LOSS and (off := _first(e, left)) is not None:
+            left.remove(off)
+            onset = off.onset if abs(off.onset - e.onset_s) < SAME_ONSET_S else e.onset_s
+            named.append(replace(e, onset_s=onset, alternatives=(), interval=((e.interval[0][0], 1.0),), end_s=off.end))
+    named += [_went_off(off) for off in left]
+    first = min(named, key=lambda e: e.onset_s)
+    judged = judged._replace(cause="rotor", found=(), onset=max(judged.onset, first.onset_s), evidence=(first.reason,))
+    return [*result, *named, _control_lost(judged, n, first.rotors, (), judged.left.lost)]
+
+
+def _first(event: Event, off: Sequence[Off]) -> Off | None:
+    """The rotor off that a loss has announced: the first time that it went off, and as it did, or before it stopped for good."""
+    if event.kind != LOSS or event.alternatives or len(event.rotors) != 1:
+        return None
+    same = next((o for o in off if (o.rotor + 1,) == event.rotors), None)
+    return same if same is not None and -EARLIER_S < event.onset_s - same.onset < SAME_S else None
+
+
+def _went_off(off: Off) -> Event:
+    rotor = off.rotor + 1
+    reason = f"from {off.onset:.1f} s on force and torque on the spinning vehicle were those of the other rotors, without rotor {rotor}"
+    return Event(
+        LOSS, (rotor,), off.onset, off.detected, off.end, (1.0,), ((OFF, 1.0),), off.probability, (), reason,
+        {"live": False, "loss_2s": [1.0]}, SPIN,
+    )  # fmt: skip
+
+
 def _who(rotors: Sequence[int]) -> str:
     return ("rotor " if len(rotors) == 1 else "rotors ") + " and ".join(map(str, rotors))
 
@@ -181,8 +229,12 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
     fell = judged.fell
     end = left.ground if fell and left.end is None else left.end
     worked = _worked(judged, n, named, others, decided)
-    reason = f"the vehicle departed controlled flight at {judged.onset:.1f} s, {left.what}: {CAUSES[judged.cause]}"
+    spin = judged.spin
+    how = left.what if spin is None else f"turning {spin.turns:.0f} times a second"
+    reason = f"the vehicle departed controlled flight at {judged.onset:.1f} s, {how}: {CAUSES[judged.cause]}"
     reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)
+    if spin is not None:
+        reason += f"; it flew on, spinning, from {spin.since:.1f} to {spin.until:.1f} s"
     if fell:
         reason += f"; it hit the ground at {left.ground:.1f} s"
     p = (
@@ -194,9 +246,14 @@ def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Even
         LOST, tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
         {
             "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.ground if fell else None,
-            "evidence": list(judged.evidence), "how": left.what,
+            "evidence": list(judged.evidence), "how": how, **({} if spin is None else _spun(spin)),
         },
     )  # fmt: skip
+
+
+def _spun(spin: FliesOn) -> dict[str, float]:
+    """The fields of a spin in which the vehicle flew on."""
+    return {"spins_from_s": spin.since, "spins_until_s": spin.until, "turns_per_s": round(spin.turns, 2)}
 
 
 def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from rotorwatch.answer.wording import candidates, rotors, said, seconds, sentence
 from rotorwatch.flight.diagnosis import Event, StoryLine
 from rotorwatch.flight.kinds import LOST, Span, Weight
@@ -56,7 +58,8 @@ def narrate(
     when = lost.detected_s if lost.detected_s <= end.time_s else max(lost.onset_s, out[-1].time_s)
     notices = [e for e in events if e.means.weight is Weight.NOTICE and not e.rotors]
     beside = [StoryLine(e.onset_s, sentence(said(e.means.headline, e))) for e in notices]
-    lines = (*out, StoryLine(when, _lost(lost, when, first, n)), end, *beside)
+    beside += _spin(lost, when, [e for e in events if e is not first], places)
+    lines = (*out, StoryLine(when, _lost(lost, when, first, n)), *beside, end)
     return tuple(sorted(lines, key=lambda line: line.time_s))
 
 
@@ -105,6 +108,16 @@ def _lost(lost: Event, when: float, first: Event | None, n: int) -> str:
     return text
 
 
+def _spin(lost: Event, when: float, others: Sequence[Event], places: Sequence[str]) -> list[StoryLine]:
+    """That it flew on spinning after control was lost at `when` [s], and what else it lost until the end of that."""
+    since, until = lost.extra.get("spins_from_s"), lost.extra.get("spins_until_s")
+    if since is None or until is None:
+        return []
+    flew = f"It flew on for {until - since:.0f} s, turning {lost.extra['turns_per_s']:.0f} times a second."
+    later = [e for e in others if e.means.weakens and since - FIRST_S < e.onset_s <= until]
+    return [StoryLine(max(since, when), flew), *(StoryLine(e.onset_s, said(e.means.began, e, places, over="")) for e in later)]
+
+
 def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]]) -> StoryLine:
     again = f" It was lost again at {seconds(later[0].onset_s)}." if later else ""
     impact = lost.extra.get("impact_s")
@@ -114,5 +127,5 @@ def _end(lost: Event, later: Sequence[Event], hops: Sequence[tuple[float, float]
     if lost.end_s is not None:
         return StoryLine(lost.end_s, f"Control was regained at {seconds(lost.end_s)}.{again}")
     last = max((b for _, b in hops), default=lost.detected_s)
-    last = max(last, lost.detected_s)
+    last = max(last, lost.detected_s, lost.extra.get("spins_until_s", -np.inf))
     return StoryLine(last, f"No impact was seen; control had not been regained by {seconds(last)}.{again}")

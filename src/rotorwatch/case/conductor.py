@@ -391,7 +391,8 @@ class Case:
             self.flight, self.vehicle, self.air, self.tables, self.B, None if done is None else done.out, over=self.over,
             hovers=self.hovers, default=done is None or done.default, known=self.known,
             dynamics=self.dynamics if self._whole else self.driver.dynamics,
-            learned=None if records is None else records.learned, lost=self._lost, merged=lambda claims: self._merged(claims).events,
+            learned=None if records is None else records.learned, lost=self._lost, spins=self.departures.spins,
+            merged=lambda claims: self._merged(claims).events,
         )  # fmt: skip
 
 

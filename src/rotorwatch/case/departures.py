@@ -12,13 +12,15 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.upset import find as upset
 from rotorwatch.witnesses.upset import loss_of_control
+from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
 
 NAMES = (
     "motors", "lift", "battery", "control", "gyro", "rates", "accel", "attitude", "attitude_wanted", "rates_wanted", "velocity", "position",
 )  # fmt: skip
 WINDOW_S = 600.0  # of a link: older samples are gone
 RECENT_S = 6.0  # a departure shows within this time
-EVERY_S, SELDOM_S = 0.5, 5.0  # between two searches: as long as since the first suspicion, within these limits
+# Between two searches: as long as since the first suspicion, within these limits; the most while it spins.
+EVERY_S, SELDOM_S, SPINNING_S = 0.5, 5.0, 1.0
 FINAL_S = upset.AFTER_S + 2.0  # after a loss of control: its cause rests on no later samples
 
 
@@ -34,6 +36,11 @@ class Departures:
         self._suspected = np.inf
         self._looked = -np.inf
 
+    @property
+    def spins(self) -> Spans:
+        """((start, end), ...) s in which the vehicle spins and flies on."""
+        return upset.spins(self.found)
+
     def of_log(self, flight: Flight, air: Spans, progress: Callable[[float], object] | None = None) -> Spans:
         """Find them in a whole log; its flights `air` ((start, end), ...) s, cut at impacts."""
         self.found = upset.judged(flight, self._vehicle, air, progress)
@@ -45,12 +52,18 @@ class Departures:
         now = window.now
         landings = sum(np.isfinite(end) for _, end in spans)
         ended = over or landings != self._landings
-        if ended or now - self._looked >= np.clip(now - self._suspected, EVERY_S, SELDOM_S):
+        wait = np.clip(now - self._suspected, EVERY_S, SELDOM_S)
+        if ended or now - self._looked >= wait or (now - self._looked >= SPINNING_S and self._turns(window)):
             self._looked, self._landings = now, landings
             if ended or np.isfinite(self._suspected) or self._departs(window, spans):
                 self._suspected = min(self._suspected, now)
                 self._judge(window, spans, over)
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
+
+    def _turns(self, window: Window) -> bool:
+        """Return whether the vehicle turns fast now."""
+        turning = window.flight(window.now - SPINNING_S, ("gyro", "rates")).angular_rate()
+        return turning is not None and bool((np.abs(turning.values[-10:, 2]) > loss_of_control.SPUN).any())
 
     def _departs(self, window: Window, spans: Spans) -> bool:
         """Return whether the last seconds look like a loss of control or a collision."""
@@ -68,11 +81,15 @@ class Departures:
         air = tuple((start, min(end, now)) for start, end in spans)
         recent = tuple(span for span in air if span[1] > since)
         settled = [j for j in self.found if not final and now > j.left.lost + FINAL_S]
-        new = [
-            next((j for j in settled if j.left == left), None) or upset.judge(flight, self._vehicle, recent, left)
-            for left in (loss_of_control.find(flight, recent) if recent or not air else ())
-            if left.onset >= since
-        ]
+
+        def looks_now(left: LossOfControl) -> upset.Judged:
+            known = next((j for j in settled if j.left == left or (j.spin is not None and j.left.onset == left.onset)), None)
+            if known is None:
+                return upset.judge(flight, self._vehicle, recent, left)
+            return upset.follow(flight, self._vehicle, recent, known._replace(left=left))
+
+        lost = loss_of_control.find(flight, recent) if recent or not air else ()
+        new = [looks_now(left) for left in lost if left.onset >= since]
         self.found = (*old, *new)
         for (start, end), (_, cut) in zip(recent, upset.until_impact(flight, recent, self.found)):
             if cut < end:

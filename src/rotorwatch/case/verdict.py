@@ -77,7 +77,8 @@ def conclude(case: Case, claims: Claims, known: Bounds, air: Spans) -> Answer:
     missing = tuple(g for g in case.missing if g.lasts and air[-1][0] <= g.start <= air[-1][1])
     seen = conclusion.Evidence(
         claims.events, case.B.shape[1], known.hidden, known.pair, known.judged_s, claims.open, places.names(case.vehicle.rotors), air,
-        trends, case.hovers and "whole_flight" not in claims.facts, missing, case.matters, judged_until=known.judged_until, blind_s=known.blind_s,
+        trends, case.hovers and "whole_flight" not in claims.facts, missing, case.matters, judged_until=known.judged_until,
+        blind_s=known.blind_s,
     )  # fmt: skip
     if done is not None:
         seen = _explained(case, seen, doubts)

@@ -21,6 +21,8 @@ from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 
+STOPPED_S = 2.0  # without outputs, or without the spin that went on
+
 
 class Building:
     """Loads the diagnoser's code in a thread of its own, which ends with the program: the first build takes seconds, during which the
@@ -135,8 +137,16 @@ class Session:
 
     @property
     def spans(self) -> tuple[tuple[float, float], ...]:
-        """(start, end) [s] of each flight so far; infinite end while airborne."""
-        return () if self.case is None else self.case.air
+        """(start, end) [s] of each flight so far; infinite end while airborne, be it spinning out of control."""
+        return () if self.case is None else tuple((start, self._end(start, end)) for start, end in self.case.air)
+
+    def _end(self, start: float, end: float) -> float:
+        """The end of a flight [s], which is cut for the estimator where a spin began to last."""
+        assert self.case is not None
+        spins = [until for since, until in self.case.departures.spins if start <= since and end < until]
+        if not spins or not np.isfinite(end):
+            return end
+        return np.inf if self.now - max(spins) < STOPPED_S and not self.case.over else max(spins)
 
     @property
     def revision(self) -> int:
@@ -172,7 +182,9 @@ class Session:
         if self.doubt:
             return self.doubt
         table = case.last.table
-        if self.now - table.time[-1] > 2.0:
+        if np.isfinite(case.air[-1][1]):
+            return "spinning: only rotors that are off are found"
+        if self.now - table.time[-1] > STOPPED_S:
             return "motor outputs stopped"
         if self.unseen:
             return self.unseen

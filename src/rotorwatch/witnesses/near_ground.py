@@ -1,7 +1,8 @@
 """Losses near the ground: ground effect, uneven when the vehicle leans, and a leg that catches or slides look the same.
 
 A claim that began while the ground carried a part of the vehicle (`engine.motion.ground_contact`), or within NEAR_M of the height of
-take-off, is not counted. The fall that a failure causes is no landing: it ends in a loss of control.
+take-off, is not counted. The fall that a failure causes is no landing: it ends in a loss of control. Nor does the ground explain a loss
+after which the vehicle spins and flies on.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ def _hear(view: View, claims: Events) -> Events:
         return claims
     kept = []
     for c in claims:
+        if c.kind == LOSS and view.spins_from(c.onset_s):
+            kept.append(c)
+            continue
         stands = c.kind in (LOSS, OVERRIDE, TURNED) and view.stands(c.onset_s)
         if stands or (c.kind == LOSS and explains(view.flight, view.air, c)):
             where = "while the ground carried a part of the vehicle" if stands else f"within {NEAR_M:g} m of the take-off height"

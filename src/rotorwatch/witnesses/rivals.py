@@ -206,7 +206,7 @@ def _hear(view: View, events: Events) -> Events:
         near_fall = any(e.onset_s <= t <= e.detected_s + FALL_S for t in view.lost)
         if e.kind == LOSS and any(k.end_s is None and k.kind in (LOSS, SLOW_RESPONSE) and k.rotors == e.rotors for k in kept):
             continue  # an earlier one lasts
-        settled = e.kind != LOSS or near_fall or "asked" in e.extra
+        settled = e.kind != LOSS or near_fall or view.spins_from(e.onset_s) or "asked" in e.extra
         found = None if settled else weigh(view, e, events)
         if found is None:
             if not (settled or _total(e) or e.alternatives) and _lands(view, e):  # no motion could have refuted it

@@ -27,6 +27,7 @@ from rotorwatch.flight.vehicle import Vehicle
 GROUP = "rotorwatch.witnesses"
 Events = tuple[Event, ...]
 FALLS_S = 8.0  # before a loss of control: what the controller does then is no landing
+SPINS_S = 3.0  # after a loss, within which the spin begins that it causes
 
 
 class Stage(Enum):
@@ -53,8 +54,9 @@ class View:
     airborne. tables: the ticks, in pieces; table: the same in one, None before there are any. out: its outputs, None on a
     link. B (4, n): effectiveness. over: no samples will follow. hovers: judged by the hover model. default: by the default estimator.
     known: `vehicle` holds what healthy flights have shown, `dynamics` their gains and noise. learned: the estimator's last state. lost:
-    times of losses of control [s]. consistent: the log does not contradict itself. events, open: see `Stage`. facts: results by name, for
-    the report. assumptions, warnings: sentences for the answer; a witness adds its own. merged: claims -> the events that they make.
+    times of losses of control [s]. spins: ((start, end), ...) s in which the vehicle spins and flies on. consistent: the log does not
+    contradict itself. events, open: see `Stage`. facts: results by name, for the report. assumptions, warnings: sentences for the answer; a
+    witness adds its own. merged: claims -> the events that they make.
     """
 
     flight: Flight
@@ -70,6 +72,7 @@ class View:
     dynamics: Mapping[str, Any] | None = None
     learned: Learned | None = None
     lost: tuple[float, ...] = ()
+    spins: Spans = ()
     consistent: bool = True
     events: Events = ()
     open: Events = ()
@@ -95,6 +98,10 @@ class View:
             if lost:
                 found &= ~((table.time > min(lost) - FALLS_S) & (table.time <= end))
         return found
+
+    def spins_from(self, onset: float) -> bool:
+        """True if a loss at `onset` [s] begins a spin in which the vehicle flies on, or is one of those in it."""
+        return any(start - SPINS_S < onset < end for start, end in self.spins)
 
     def stands(self, time: float) -> bool:
         """True if the ground carries a part of the vehicle at a time [s]."""

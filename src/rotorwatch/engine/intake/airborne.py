@@ -59,6 +59,7 @@ _FALLING = 0.75 * G0  # specific force below which a vehicle with idle motors is
 _LYING_S = 1.0
 _STILL = 0.5  # rad/s: faster rotation excludes resting on the ground
 _BLOW = 1.2 * G0  # lateral specific force, or half of it downwards, beyond what rotors can produce: from the ground
+_LEVER_M = 0.05  # of an accelerometer from the axis of a spin: its centripetal force is no blow
 _BLOW_S = 3.0  # a shock this long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
 _FRESH_S = 1.0  # age beyond which a measurement is unknown
@@ -136,6 +137,7 @@ class Airborne(Struct):
     tick: Time = 0.0  # number of the next tick
     velocity_time: Time = -LASTS
     blow: Time = -LASTS  # last force that rotors cannot produce
+    spin: Real = 0.0  # (rad/s)^2, of the last angular rate
     last: Time = -LASTS  # time of the last command
     climb: Real = 0.0
     speed: Real = 0.0
@@ -207,13 +209,15 @@ class Airborne(Struct):
         """Specific force, body FRD, m/s^2."""
         self.walk(time, False)
         self.force.add(time, sqrt(x * x + y * y + z * z) if valid else NAN, -z if valid else NAN)
-        if valid and (x * x + y * y > _BLOW * _BLOW or z > _BLOW / 2.0):
+        most = _BLOW + _LEVER_M * self.spin
+        if valid and (x * x + y * y > most * most or z > most - _BLOW / 2.0):
             self.blow = time
 
     def gyro(self, time: Time, x: Real, y: Real, z: Real, valid: bool) -> None:
         """Angular rate, body FRD, rad/s."""
         self.walk(time, False)
         self.turning.add(time, sqrt(x * x + y * y + z * z) if valid else NAN, 0.0)
+        self.spin = x * x + y * y + z * z if valid else 0.0
 
     def velocity(self, time: Time, climb: Real, speed: Real) -> None:
         """Climb rate and horizontal speed, m/s; NaN: unknown."""
@@ -304,8 +308,9 @@ class Airborne(Struct):
         if lifted or self._climbs_away() or self._hovers_low(time, now):
             self.flying = True
             self.since = time
-            self.floor = ground if lifted else self.rest
-            self.hover = max(now.command, ground + _HIGH_RISE) if lifted else now.command
+            # The idle command follows a slow rise, the smallest one does not.
+            self.floor = min(ground, self.rest) if lifted else self.rest
+            self.hover = max(now.command, self.floor + _HIGH_RISE) if lifted else now.command
             self.idle = self.floor
             self.idle_known = True
             self.low_since = LASTS

@@ -7,6 +7,8 @@ pegged.py           a rotor at full command while the vehicle turns against it
 loss_of_control.py  when control was lost and came back, falls, impacts
 balance.py          torques and thrust at any attitude: how well commands explain motion
 explain.py          explanations: healthy, a rotor, all rotors, outputs on the wrong motors, an external torque
+spinning.py         vehicles that spin and fly on, and which rotors they lost
+subsets.py          which rotors are off, by the balance of force and torque at any rate
 find.py             the cause, and the events
 """
 

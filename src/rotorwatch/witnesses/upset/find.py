@@ -17,10 +17,11 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.kinds import ORDER
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses import battery
-from rotorwatch.witnesses.upset import loss_of_control
+from rotorwatch.witnesses.upset import loss_of_control, spinning
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
 from rotorwatch.witnesses.upset.explain import Explanation, explain
 from rotorwatch.witnesses.upset.loss_of_control import HIT_S, LossOfControl, held, thrust_axis
+from rotorwatch.witnesses.upset.spinning import FliesOn
 
 BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are used, at most
 EARLIER_S, LATER_S = 0.7, 0.3  # around its onset, in which a cause may have begun
@@ -54,7 +55,7 @@ TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch
 class Judged(NamedTuple):
     """A loss of control with its cause. explanations with their probabilities, () where the log shows too little; window; onset [s];
     evidence: sentences; commanded: time up to which the log holds commands of each rotor, infinite where up to the onset, None where never
-    [s]."""
+    [s]; spin: in which the vehicle flies on, or None."""
 
     left: LossOfControl
     cause: str
@@ -64,6 +65,7 @@ class Judged(NamedTuple):
     onset: float
     evidence: tuple[str, ...]
     commanded: tuple[float | None, ...] = ()
+    spin: FliesOn | None = None
 
     @property
     def fell(self) -> bool:
@@ -88,10 +90,28 @@ def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
 
 
 def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
-    """The cause of one loss of control."""
+    """One loss of control: its cause, and whether the vehicle flew on."""
     if left.landed:
         return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
-    start = next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
+    start = _lift_off(air, left)
+    judged = _judge(flight, vehicle, start, left)
+    spin = spinning.find(flight, vehicle, judged.left, start)
+    if spin is not None and judged.cause in ("controller", "saturated"):  # no command asks for a spin
+        judged = judged._replace(cause="unknown", evidence=())
+    return judged._replace(spin=spin)
+
+
+def follow(flight: Flight, vehicle: Vehicle, air, known: Judged) -> Judged:
+    """A loss of control whose cause is known, with the spin as it looks now."""
+    return known._replace(spin=spinning.find(flight, vehicle, known.left, _lift_off(air, known.left), known.spin))
+
+
+def _lift_off(air, left: LossOfControl) -> float:
+    """Start of the flight with this loss of control [s]."""
+    return next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
+
+
+def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) -> Judged:
     got = window_of(flight, vehicle, left, start)
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
@@ -197,9 +217,16 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
     return first
 
 
+def spins(found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
+    """((start, end), ...) s in which the vehicle spins and flies on."""
+    return tuple((j.spin.since, j.spin.until) for j in found if j.spin is not None)
+
+
 def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
-    """`loss_of_control.until_impact` for losses of control whose onset is known."""
-    return loss_of_control.until_impact(flight, air, tuple(j.left._replace(onset=min(j.onset, j.left.onset)) for j in found))
+    """`loss_of_control.until_impact` for losses of control whose onset is known. What strikes a vehicle that spins on is no end of it, and
+    the hover model no longer holds."""
+    left = (j.left if j.spin is None else j.left._replace(impact=None, end=None) for j in found)
+    return loss_of_control.until_impact(flight, air, tuple(d._replace(onset=min(j.onset, d.onset)) for j, d in zip(found, left)))
 
 
 def window_of(

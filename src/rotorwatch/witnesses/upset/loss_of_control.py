@@ -25,6 +25,7 @@ AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for longer: in public logs only vehicles t
 LOST_S = 1.2  # control regained sooner was not lost: a knock or a hard turn that the vehicle recovered from
 TUMBLED_DEG = 100.0  # two samples this far from all targets: it tumbled, however it came to rest
 SPINS = 20.0  # rad/s of yaw, faster than anyone commands
+SPUN, SPUN_S = 10.0, 2.0  # rad/s of yaw beyond the commanded rate, for so long
 ANSWERS_S = 0.6  # within which a vehicle under control reaches the commanded attitude or rates
 BLOCK = 1 << 16  # samples compared at a time
 Progress = Callable[[float], object] | None
@@ -199,16 +200,20 @@ def _rate_error(flight: Flight, time: np.ndarray) -> np.ndarray:
 
 
 def _spins(flight: Flight, time: np.ndarray) -> np.ndarray:
-    """(m,) bool: the vehicle yaws faster than anyone commands."""
+    """(m,) bool: the vehicle yaws faster than anyone commands, or than commanded for long."""
     if (turning := flight.angular_rate()) is None:
         return np.zeros(time.size, bool)
     at, rates = known(turning)
 
-    def spins(when: np.ndarray) -> np.ndarray:
+    def yaw(when: np.ndarray) -> np.ndarray:
         rate, age = _held(at, rates[:, 2:], when)
-        return (np.abs(rate[:, 0]) > SPINS) & (age <= FRESH_S)
+        return np.where(age <= FRESH_S, np.abs(rate[:, 0]), 0.0)
 
-    return _blockwise(spins, time).astype(bool)
+    speed = _blockwise(yaw, time)
+    if flight.has("rates_wanted") and (speed > SPUN).any():
+        asked, age = held(flight["rates_wanted"], time)
+        speed = np.where((age <= FRESH_S) & (speed <= SPINS), speed - np.abs(asked[:, 2]), speed)
+    return (speed > SPINS) | _long(time, speed > SPUN, SPUN_S)
 
 
 def find(flight: Flight, air, progress: Progress = None) -> tuple[LossOfControl, ...]:
@@ -238,7 +243,7 @@ def _to_the_ground(flight: Flight, d: LossOfControl, start: float, end: float) -
     if d.impact is None:
         return d
     at, until = d.impact - HIT_S, end + 30.0 if d.end is None else d.end
-    while (blow := hit(flight, at + HIT_S, until, spins=True)) is not None:
+    while (blow := hit(flight, at + HIT_S, until)) is not None:
         if stops(flight, blow, start):
             return d._replace(ground=blow, end=d.end if _flies_again(flight, d.end, start) else None)
         at = blow
@@ -359,12 +364,12 @@ def _departs(flight, time, angle, words, start, end) -> LossOfControl | None:
     return None
 
 
-def _long(t: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """(m,) bool: the samples of every run of `away` that lasts AWAY_S."""
+def _long(t: np.ndarray, away: np.ndarray, seconds: float = AWAY_S) -> np.ndarray:
+    """(m,) bool: the samples of every run of `away` that lasts so many seconds."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]])))
     lasting = np.zeros(away.size, bool)
     for a, b in zip(edges[::2], edges[1::2]):
-        lasting[a:b] = t[b - 1] - t[a] >= AWAY_S
+        lasting[a:b] = t[b - 1] - t[a] >= seconds
     return lasting
 
 
@@ -475,13 +480,13 @@ def _shares(flight: Flight, motors: Signal) -> np.ndarray:
     return np.where(motors.valid, np.clip((motors.values - low) / max(high - low, 1e-6), 0.0, 1.0), 0.0)
 
 
-def hit(flight: Flight, start: float, end: float, spins: bool = False) -> float | None:
-    """First time after `start` [s] with a force that no rotor makes; None where there is none, or no accelerometer. spins: subtract the
-    part of the vehicle's own spin."""
+def hit(flight: Flight, start: float, end: float) -> float | None:
+    """First time after `start` [s] with a force that neither rotors nor the vehicle's own spin make; None where there is none, or no
+    accelerometer."""
     if not flight.has("accel"):
         return None
     part = flight["accel"].between(start, end)
-    turning = flight.angular_rate() if spins else None
+    turning = flight.angular_rate()
     spin = None if turning is None else known(turning.between(start - FRESH_S, end + FRESH_S))
     for first in range(0, len(part), BLOCK):
         force = part.values[first : first + BLOCK] / G0  # 0 where unknown
