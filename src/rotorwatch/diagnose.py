@@ -257,6 +257,7 @@ def _conclude(log: LogCase, done: Estimated, last: Judgement, title: str, clock:
         estimator=title,
         comparison=comparison,
         whole_flight=last.whole,
+        compared=tuple(c.to_dict() for c in last.compared),
         doubts=doubts,
         trace=trace,
         own=done.series,

@@ -31,6 +31,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses import witness
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 from rotorwatch.witnesses.leaning import LEANS_S
+from rotorwatch.witnesses.odds import Comparison
 from rotorwatch.witnesses.upset import find as upset
 from rotorwatch.witnesses.witness import Events, Stage, View
 
@@ -57,7 +58,7 @@ class Estimated:
 
 class Judgement(NamedTuple):
     """end: the answer. doubts: why the log contradicts itself. evidence: open claims. whole: the comparison with healthy flights, None
-    without. assumptions, warnings: sentences for the answer."""
+    without. assumptions, warnings: sentences for the answer. compared: the comparisons of claims with what else explains the motion."""
 
     end: conclusion.Conclusion
     doubts: tuple[str, ...]
@@ -65,6 +66,7 @@ class Judgement(NamedTuple):
     whole: dict | None
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    compared: tuple[Comparison, ...] = ()
 
 
 class LogCase(NamedTuple):
@@ -154,7 +156,8 @@ def judge(log: LogCase, done: Estimated, progress: Callable[[float], object] | N
     if view.consistent and log.hovers:
         found = witness.ask(Stage.SETUP, view, found)
     end, evidence = _concluded(log, done, view, found, steps, doubts)
-    return Judgement(end, doubts, evidence, view.facts.get("whole_flight"), tuple(view.assumptions), tuple(view.warnings))
+    notes, compared_ = (tuple(view.assumptions), tuple(view.warnings)), tuple(view.facts.get("compared", ()))
+    return Judgement(end, doubts, evidence, view.facts.get("whole_flight"), *notes, compared_)
 
 
 def _concluded(

@@ -10,6 +10,7 @@ flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUD
                 vehicle can give; aerobatic: vehicles that do not hover; esc_telemetry
 estimator       program: the default estimator over ticks, TickOutput; list_hypotheses, rotor_sets; the states of its plant and the prior
                 of losses, in capitals; ENGINE, its compiled definition, and DEFINITIONS, the modules that hold its constants
+comparison      odds: explanations of a claim, their weights and probabilities
 excitation      excitation_response: the answer to it; null_space, ExcitationNoise, noise_covariance
 export, fleet   export_default; Exported and saved, a C project in a folder; Store, assess, fleet_judge, prognosis
 
@@ -75,6 +76,7 @@ _PLACES = {
     "noise_covariance": "witnesses.null_space:covariance",
     "null_space": "witnesses.null_space:null_space",
     "observe": "engine.driver:observe",
+    "odds": "witnesses.odds",
     "prepare": "diagnose:prepare",
     "prognosis": "fleet.prognosis",
     "program": "engine.bindings.program",
@@ -148,6 +150,7 @@ __all__ = [
     "noise_covariance",
     "null_space",
     "observe",
+    "odds",
     "prepare",
     "prognosis",
     "program",
@@ -208,6 +211,7 @@ if TYPE_CHECKING:
     from rotorwatch.fleet.store import Store as Store
     from rotorwatch.witnesses import attainable as attainable
     from rotorwatch.witnesses import excitation_response as excitation_response
+    from rotorwatch.witnesses import odds as odds
     from rotorwatch.witnesses.aerobatic import judge as aerobatic
     from rotorwatch.witnesses.esc import telemetry as esc_telemetry
     from rotorwatch.witnesses.healthy import baselines as baselines

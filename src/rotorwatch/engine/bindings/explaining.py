@@ -16,6 +16,7 @@ from rotorwatch.engine.estimator.estimator_sizes import PLACES
 from rotorwatch.engine.motion.tick_table import GROUND, Ticks
 
 NEVER = 1 << 30  # a tick
+FORGOTTEN = 1e-17  # share of a command that a lag has left of it: below the resolution of a number
 
 
 class Explanation(NamedTuple):
@@ -66,11 +67,16 @@ class Span:
 
 
 def lagged(ticks: Ticks, B: np.ndarray, lag_s: float) -> Ticks:
-    """Ticks whose commands have passed a first-order lag of `lag_s` s."""
-    thrust = ticks.thrust.copy()
-    follows = 1.0 - np.exp(-ticks.dt / lag_s)
-    for k in range(1, len(thrust)):
-        thrust[k] = thrust[k - 1] + follows * (thrust[k] - thrust[k - 1])
+    """Ticks whose commands have passed a first-order lag of `lag_s` s: thrust_k = a thrust_k-1 + (1 - a) command_k, a = exp(-dt / lag).
+
+    With b the terms of the commands, the sums s_m of the last m of them double: s_2m(k) = s_m(k) + a^m s_m(k - m)."""
+    kept = float(np.exp(-ticks.dt / lag_s))
+    thrust = (1.0 - kept) * ticks.thrust
+    thrust[:1] = ticks.thrust[:1]
+    length = 1
+    while length < len(thrust) and kept > FORGOTTEN:
+        thrust[length:] += kept * thrust[:-length].copy()
+        kept, length = kept * kept, 2 * length
     return replace(ticks, thrust=thrust, wrench=thrust @ B.T)
 
 
