@@ -117,7 +117,7 @@ class Weighed(NamedTuple):
 @dataclass(frozen=True)
 class Comparison:
     """A claim and its explanations. rotors: claimed, from 1. named: a loss of them is claimed, else of any one of them. origin: source of
-    the claim. grows: slowly. n: rotors of the vehicle. rows: of a named claim the first is its loss, the second one that lasts."""
+    the claim. grows: slowly. n: rotors of the vehicle. rows: of a named claim the first is its loss."""
 
     onset_s: float
     rotors: tuple[int, ...]
@@ -153,7 +153,8 @@ class Comparison:
         kinds = [(r.weak, r.rotors if r.group == "slow" else ()) for r in rows]
         first = int(np.argmax(logs))
         ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
-        lasts = float(logs[1] - logs[0]) if self.named else 0.0
+        lasting = [x for x, r in zip(logs, rows) if r.name == "lasting loss"]
+        lasts = float(lasting[0] - logs[0]) if lasting else 0.0
         others = {who: sums[who] for who in sorted(sums)}
         return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), lasts, best)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,11 +73,12 @@ def collect(
     truths: Sequence[str | PathLike] = (),
     jobs: int | None = None,
     progress: Callable | None = None,
+    scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> list[Flown]:
     """The flights 0..flights-1 of the plan with another seed (None: its own); logs of healthy flights, as they are and with each of
-    `losses` put into every rotor once; and the logs of tables of truth. jobs, keep, progress: as of `tools.gathered`. Raises ConfigError,
-    LogError."""
+    `losses` put into every rotor once; and the logs of tables of truth. jobs, progress, scheduler, keep: as of `tools.gathered`. Raises
+    ConfigError, LogError."""
     if plan is not None and plan.judge != "log":
         raise ConfigError(f"The plan {plan.name} is not judged by logs; set judge = 'log' (docs/campaigns.md#plans).")
     parts: list[tuple] = []
@@ -89,7 +90,7 @@ def collect(
     parts += [(_of_truth, *row) for path in truths for row in _truth(path)]
     if not parts:
         raise ConfigError("There is no flight: give a plan, or logs.")
-    return tools.gathered(_part, parts, jobs, progress, "diagnosing", keep=keep)
+    return tools.gathered(_part, parts, jobs, progress, "diagnosing", scheduler, keep)
 
 
 def _part(part: tuple) -> list[Flown]:
