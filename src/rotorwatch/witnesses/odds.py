@@ -25,7 +25,7 @@ from rotorwatch.engine.events.decisions import CLEAR
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; "beside": added for two at once.
 WEIGHTS: dict[str, float] = {
     "loss": 0.0, "lasting": 0.0, "growing": -1.0, "stuck": -2.3, "capped": -2.3, "two": -2.3, "slow": -1.0, "turned": -1.0,
-    "nothing": 3.0, "step": 2.0, "drift": 2.0, "wrench": 2.0, "beside": -1.0,
+    "nothing": 3.0, "step": 2.0, "shift": 2.0, "drift": 2.0, "move": 2.0, "wrench": 2.0, "beside": -1.0,
 }  # fmt: skip
 TEMPER = 1.0
 

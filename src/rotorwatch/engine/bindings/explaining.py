@@ -25,7 +25,7 @@ class Explanation(NamedTuple):
     of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
-    by which it yaws the vehicle in a side force; force_s: s for which these last."""
+    by which it yaws the vehicle in a side force; load: share of the trim of roll and pitch that grows with all thrust; force_s: s for which these last."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -38,6 +38,7 @@ class Explanation(NamedTuple):
     force: float = 1.0
     drift: float = 0.0
     lever: float = 0.0
+    load: float = 0.0
     force_s: float = np.inf
 
 
@@ -111,7 +112,7 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
         rows = ENGINE.array(explanations.Explanation, len(group))
         columns = {
             name: np.array([getattr(e, name) for e in group])
-            for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever")
+            for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load")
         }
         rows.fill(
             rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),
