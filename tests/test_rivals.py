@@ -152,6 +152,23 @@ def test_a_turned_mount_is_no_loss():
     assert found is not None and found.weighed().none > 0.9
 
 
+def test_a_load_that_shifts_weighs_with_the_thrust():
+    def more(time):
+        return 1.6 * np.sin(time)  # hover thrusts, as in climbs
+
+    def shifted(time):
+        moment = np.outer((time > ONSET_S) * (1.0 + more(time) / 4.0), -0.8 * QUAD[:2, 0])
+        return np.column_stack([moment, np.zeros_like(time), more(time)])
+
+    ticks = flight(trim=shifted)
+    ticks = replace(ticks, load=ticks.load + more(ticks.time) / 4.0)
+    found = rivals.weigh(view(ticks), claim(1), ())
+    assert found is not None and found.weighed().none > 0.99
+    nats = {r.name: r.log_p for r in found.rows if not r.beside}
+    assert nats["shift 1"] > nats["step 1"] + 20.0
+    assert heard(ticks, [claim(1)])[:2] == ((), ())
+
+
 def test_explanations_are_alike_until_the_onset_and_independent_of_their_order():
     ticks = flight(0.3)
     learned, _ = estimate(ticks, QUAD)

@@ -42,9 +42,9 @@ SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is o
 LANDED_S = 1.0  # of the log after a landing
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 COMPARED = "compared"  # in View.facts: all comparisons of the flight
-# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances, and one that grows with the thrust, as
-# by a load that shifts; a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)], and its lever in a side force;
-# and a free wrench, as a factor of the disturbances, for so many s.
+# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances, and one that grows with the thrust,
+# as by a load that shifts; a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)], and its lever in a side
+# force; and a free wrench, as a factor of the disturbances, for so many s.
 MOVES = ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0), (0.12, 14.0))
 ELSE = (
     *(Rival(f"step {step:g}", Explanation(step=step)) for step in (1.0, 4.0)),

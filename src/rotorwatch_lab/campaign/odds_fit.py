@@ -21,7 +21,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit import odds
 from rotorwatch_lab.campaign import claims
 from rotorwatch_lab.campaign.claims import HARMLESS, Fault, Flown
-from rotorwatch_lab.campaign.plan import Plan
+from rotorwatch_lab.campaign.plan import Plan, read
 from rotorwatch_lab.experiments import tools
 
 WIDTH = 1.5  # nats: how far the data of few claims move a weight
@@ -172,8 +172,8 @@ def _named(claim: odds.Comparison, found: odds.Weighed, decision: odds.Decision,
 
 
 class Result(NamedTuple):
-    """weights, temper: fitted. claims: of training, held out. loss: held-out log loss with the constants in use, and fitted; counts: the
-    same of the claims' ends, held out."""
+    """weights, temper: fitted. claims: of training, held out. training, loss: log loss with the constants in use, and fitted, of training
+    and held out; counts: of the ends of the claims that were held out. data: all claims."""
 
     weights: dict[str, float]
     temper: float
@@ -181,6 +181,7 @@ class Result(NamedTuple):
     training: tuple[float, float]
     loss: tuple[float, float]
     counts: tuple[Counts, Counts]
+    data: tuple[Labelled, ...]
 
 
 def evaluate(training: Sequence[Flown], checking: Sequence[Flown], width: float = WIDTH) -> Result:
@@ -190,12 +191,12 @@ def evaluate(training: Sequence[Flown], checking: Sequence[Flown], width: float 
     fitted = (weights, temper)
     return Result(
         weights, temper, (len(data), len(other)), (log_loss(data), log_loss(data, *fitted)), (log_loss(other), log_loss(other, *fitted)),
-        (counts(other), counts(other, *fitted)),
+        (counts(other), counts(other, *fitted)), (*data, *other),
     )  # fmt: skip
 
 
-def collected(
-    plan: Plan,
+def fit_odds(
+    plan: Plan | str | PathLike,
     healthy: Sequence[str | PathLike] = (),
     flights: int = 1800,
     held_out: int = 900,
@@ -204,9 +205,15 @@ def collected(
     progress: Callable | None = None,
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
-) -> tuple[list[Flown], list[Flown]]:
-    """(flights to fit to, flights to check on): of the plan with `seed`, and every second healthy log; of the plan with the seed after it,
-    and the other logs. Neither is the plan's own seed. Raises ConfigError, LogError."""
+) -> Result:
+    """Fit to claims in flights of a plan with `seed` and every second healthy log, and check on flights with the seed after it and the
+    other logs. Neither may be the plan's own seed.
+
+    plan: judged by logs (docs/campaigns.md#plans), or its file. healthy: logs. flights, held_out: how many to fit to, to check on. jobs,
+    scheduler: as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from which the same call
+    goes on. Raises ConfigError, LogError.
+    """
+    plan = plan if isinstance(plan, Plan) else read(plan)
     if plan.seed in (seed, seed + 1):
         raise ConfigError(f"The seeds {seed} and {seed + 1} train and check; {plan.seed} is the plan's own: give another --seed.")
     told, part = progress or (lambda share, text="": None), flights / (flights + held_out)
@@ -215,7 +222,7 @@ def collected(
         tell = functools.partial(_portion, told, share, size)
         return claims.collect(plan, count, own, logs, jobs=jobs, progress=tell, scheduler=scheduler, keep=keep)
 
-    return some(flights, seed, healthy[::2], 0.0, part), some(held_out, seed + 1, healthy[1::2], part, 1.0 - part)
+    return evaluate(some(flights, seed, healthy[::2], 0.0, part), some(held_out, seed + 1, healthy[1::2], part, 1.0 - part))
 
 
 def _portion(tell: Callable, start: float, size: float, share: float, text: str = "") -> None:
@@ -225,7 +232,8 @@ def _portion(tell: Callable, start: float, size: float, share: float, text: str 
 def to_dict(result: Result) -> dict[str, Any]:
     """The result as JSON has it."""
     before, after = result.counts
-    return {**result._asdict(), "counts": [before._asdict(), after._asdict()], "present": {"weights": odds.WEIGHTS, "temper": odds.TEMPER}}
+    plain = {name: value for name, value in result._asdict().items() if name != "data"}
+    return {**plain, "counts": [before._asdict(), after._asdict()], "present": {"weights": odds.WEIGHTS, "temper": odds.TEMPER}}
 
 
 def markdown(result: Result) -> str:

@@ -7,7 +7,7 @@ fault of this rotor begins there. Rotors that have been weak since before the cl
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -15,8 +15,9 @@ import numpy as np
 
 from rotorwatch.base import files, optional
 from rotorwatch.flight.kinds import LOSS, SLOW_RESPONSE
-from rotorwatch_lab.campaign import odds_fit
+from rotorwatch_lab.campaign import claims, odds_fit
 from rotorwatch_lab.campaign.claims import HARMLESS, Flown
+from rotorwatch_lab.campaign.plan import Plan, read
 from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.counting import EARLY_S
 
@@ -44,6 +45,28 @@ class Bin(NamedTuple):
     def off(self) -> float:
         """Share that is right less what is stated."""
         return self.right["value"] - self.stated
+
+
+def reliability(
+    plan: Plan | str | PathLike | None = None,
+    healthy: Sequence[str | PathLike] = (),
+    flights: int = 1000,
+    truths: Sequence[str | PathLike] = (),
+    losses: Sequence[float] = (0.15, 0.25, 0.4),
+    jobs: int | None = None,
+    progress: Callable | None = None,
+    scheduler: str | None = None,
+    keep: str | PathLike | None = None,
+) -> list[Bin]:
+    """Diagnose flights of known truth, and compare stated probabilities with how often they are right.
+
+    plan: judged by logs, flown with its own seed, or its file; flights: how many of it. healthy: logs, judged as they are and with each of
+    `losses` put into every rotor once. truths: tables of truth (docs/tuning.md#odds-of-explanations). jobs, scheduler: as for `many.run`.
+    progress: called as progress(share, text). keep: a folder for what is finished, from which the same call goes on. Raises ConfigError,
+    LogError.
+    """
+    plan = plan if plan is None or isinstance(plan, Plan) else read(plan)
+    return bins(claims.collect(plan, flights, None, healthy, losses, truths, jobs, progress, scheduler, keep))
 
 
 def bins(flown: Sequence[Flown]) -> list[Bin]:

@@ -25,14 +25,11 @@ SEED = click.IntRange(0, 2**31 - 2)
 def fit_odds(plan, logs, flights, held_out, seed, ablate, jobs, scheduler, keep, as_json, quiet) -> None:
     """Fit the log weights and the temper of the comparison after the flight to claims in flights of PLAN (judged by logs, such as
     plans/open.toml) and in healthy LOGS, and print constants in use and fitted, with their log loss in flights that were held out."""
-    from rotorwatch_lab import campaign as campaigns
     from rotorwatch_lab.campaign import odds_ablation, odds_fit
 
-    flight_plan = campaigns.read(plan)
     with progress(quiet) as report:
-        training, checking = odds_fit.collected(flight_plan, logs, flights, held_out, seed, jobs, report, scheduler, keep)
-    result = odds_fit.evaluate(training, checking)
-    effects = odds_ablation.run(odds_fit.labelled([*training, *checking])) if ablate else None
+        result = odds_fit.fit_odds(plan, logs, flights, held_out, seed, jobs, report, scheduler, keep)
+    effects = odds_ablation.run(result.data) if ablate else None
     if as_json:
         found = {**odds_fit.to_dict(result), **({"ablation": effects.to_dict()} if effects else {})}
         click.echo(json.dumps(found, indent=1, allow_nan=False))
@@ -55,14 +52,11 @@ def reliability(plan, logs, flights, truths, losses, jobs, scheduler, keep, figu
     """Diagnose flights of PLAN, healthy LOGS with losses put into them, and logs with a table of truth (docs/tuning.md), and print for
     each bin of stated probability the share that is right."""
     from rotorwatch.toolkit.commands import shares
-    from rotorwatch_lab import campaign as campaigns
-    from rotorwatch_lab.campaign import claims
     from rotorwatch_lab.campaign import reliability as study
 
-    flight_plan, wanted = campaigns.read(plan), shares("--loss", losses)
+    wanted = shares("--loss", losses)
     with progress(quiet) as report:
-        flown = claims.collect(flight_plan, flights, None, logs, wanted, truths, jobs, report, scheduler, keep)
-    bins = study.bins(flown)
+        bins = study.reliability(plan, logs, flights, truths, wanted, jobs, report, scheduler, keep)
     if figure:
         study.draw(bins, figure)
     click.echo(json.dumps(study.to_dict(bins), indent=1, allow_nan=False) if as_json else study.markdown(bins))

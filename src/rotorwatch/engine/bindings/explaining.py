@@ -25,7 +25,8 @@ class Explanation(NamedTuple):
     of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
-    by which it yaws the vehicle in a side force; load: share of the trim of roll and pitch that grows with all thrust; force_s: s for which these last."""
+    by which it yaws the vehicle in a side force; force_s: s for which these last. load: share of the trim of roll and pitch that grows
+    with all thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
