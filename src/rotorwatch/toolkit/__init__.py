@@ -10,7 +10,7 @@ flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUD
                 vehicle can give; aerobatic: vehicles that do not hover; esc_telemetry
 estimator       program: the default estimator over ticks, TickOutput; list_hypotheses, rotor_sets; the states of its plant and the prior
                 of losses, in capitals; ENGINE, its compiled definition, and DEFINITIONS, the modules that hold its constants
-comparison      odds: explanations of a claim, their weights and probabilities
+comparison      odds: explanations of a claim, their weights and probabilities; witness: all that are asked, and all but one
 excitation      excitation_response: the answer to it; null_space, ExcitationNoise, noise_covariance
 export, fleet   export_default; Exported and saved, a C project in a folder; Store, assess, fleet_judge, prognosis
 
@@ -83,6 +83,7 @@ _PLACES = {
     "rotor_sets": "engine.bindings.event_rows:rotor_sets",
     "saved": "export.projects:saved",
     "usual_gains": "engine.bindings.plant_rows:usual_gains",
+    "witness": "witnesses.witness",
 }
 """Name -> module, or module:name, below rotorwatch."""
 
@@ -157,6 +158,7 @@ __all__ = [
     "rotor_sets",
     "saved",
     "usual_gains",
+    "witness",
 ]  # fmt: skip
 
 if TYPE_CHECKING:
@@ -212,6 +214,7 @@ if TYPE_CHECKING:
     from rotorwatch.witnesses import attainable as attainable
     from rotorwatch.witnesses import excitation_response as excitation_response
     from rotorwatch.witnesses import odds as odds
+    from rotorwatch.witnesses import witness as witness
     from rotorwatch.witnesses.aerobatic import judge as aerobatic
     from rotorwatch.witnesses.esc import telemetry as esc_telemetry
     from rotorwatch.witnesses.healthy import baselines as baselines
