@@ -165,7 +165,7 @@ def test_a_load_that_shifts_weighs_with_the_thrust():
     found = rivals.weigh(view(ticks), claim(1), ())
     assert found is not None and found.weighed().none > 0.99
     nats = {r.name: r.log_p for r in found.rows if not r.beside}
-    assert nats["shift 1"] > nats["step 1"] + 20.0
+    assert nats["shift"] > nats["step 1"] + 20.0
     assert heard(ticks, [claim(1)])[:2] == ((), ())
 
 

@@ -25,7 +25,7 @@ from rotorwatch.engine.events.decisions import CLEAR
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; "beside": added for two at once.
 WEIGHTS: dict[str, float] = {
     "loss": 0.0, "lasting": 0.0, "growing": -1.0, "stuck": -2.3, "capped": -2.3, "two": -2.3, "slow": -1.0, "turned": -1.0,
-    "nothing": 3.0, "step": 2.0, "shift": 2.0, "drift": 2.0, "move": 2.0, "wrench": 2.0, "beside": -1.0,
+    "nothing": 3.0, "step": 2.0, "shift": 2.0, "move": 2.0, "wrench": 2.0, "beside": -1.0,
 }  # fmt: skip
 TEMPER = 1.0
 
@@ -94,7 +94,8 @@ class Decision(Enum):
 class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
     rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    lasts: log odds that the loss is not over. best: the likeliest row of each other set."""
+    lasts: log odds that the loss is not over. best: the likeliest row with a size of each other set, where there is
+    one."""
 
     claim: float
     none: float
@@ -144,7 +145,8 @@ class Comparison:
         for k in np.argsort(logs, kind="stable"):
             if rows[k].weak and not mine[k]:
                 sums[rows[k].weak] = sums.get(rows[k].weak, 0.0) + float(share[k])
-                best[rows[k].weak] = rows[k]
+                if rows[k].group != "stuck":  # its size is of its command's effect
+                    best[rows[k].weak] = rows[k]
         none = np.array([not r.weak for r in rows]) & ~mine
         slow = np.zeros(self.n)
         for r, p in zip(rows, share):
@@ -183,7 +185,7 @@ class Comparison:
         who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))
         share = 0.0 if who is None else found.others[who]
         if share > limits.sure and found.ahead > (limits.scanned if self.origin == SCAN else limits.claimed):
-            return Decision.LOSS
+            return Decision.LOSS if who in found.best else Decision.OPEN
         if found.slow[slow] > limits.sure and found.ahead > limits.scanned and slow + 1 in self.rotors:
             return Decision.SLOW
         credible = 1.0 - limits.certain if self.origin == event_rows.TRIM.name else limits.credible

@@ -42,21 +42,21 @@ SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is o
 LANDED_S = 1.0  # of the log after a landing
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 COMPARED = "compared"  # in View.facts: all comparisons of the flight
-# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances, and one that grows with the thrust,
-# as by a load that shifts; a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)], and its lever in a side
-# force; and a free wrench, as a factor of the disturbances, for so many s.
-MOVES = ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0), (0.12, 14.0))
+# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; one that grows with the thrust, as by
+# a load that shifts; a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)], which grows with the thrust, and
+# its lever in a side force; and a free wrench, as a factor of the disturbances, for so many s.
 ELSE = (
     *(Rival(f"step {step:g}", Explanation(step=step)) for step in (1.0, 4.0)),
-    *(Rival(f"shift {step:g}", Explanation(step=step, load=1.0)) for step in (1.0, 4.0)),
-    *(Rival(f"drift {drift:g}, lever {lever:g}", Explanation(drift=drift, lever=lever)) for drift, lever in MOVES),
-    *(Rival(f"move {drift:g}, lever {lever:g}", Explanation(drift=drift, lever=lever, load=1.0)) for drift, lever in MOVES),
+    Rival("shift", Explanation(step=1.0, load=1.0)),
+    *(Rival(f"move {drift:g}, lever {lever:g}", Explanation(drift=drift, lever=lever, load=1.0))
+      for drift, lever in ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0))),
     *(Rival(f"wrench {force:g}, {lasts:g} s", Explanation(step=1.0, force=force, force_s=lasts))
-      for force, lasts in ((10.0, 1.0), (10.0, 3.0), (3.0, 10.0), (10.0, 10.0), (3.0, np.inf))),
+      for force, lasts in ((10.0, 1.0), (3.0, 10.0), (3.0, np.inf))),
 )  # fmt: skip
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
+GIVES = 2.0  # of a rotor that is stuck: standard deviation of its thrust, hover thrusts
 CAPS = (0.5, 0.75, 0.9)  # quantiles of a rotor's commands that may be its cap
 LATES_S = (0.08, 0.2)  # of a slow motor
 # Of the scan: evidence beyond any other rotor's, twice in nats; by which the onset's may be lower; lag; least information.
@@ -70,14 +70,21 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Mapping[float, fl
     rest = [Rival("nothing", Explanation()), *ELSE]
     rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
     rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
-    singles = [Rival("loss", Explanation((i,), end_s)) for i in range(n) if (i,) != claim]
+    singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
     if not claim:
         return [*rest, *singles]
-    own = [Rival("loss", Explanation(claim, end_s)), Rival("lasting loss", Explanation(claim))]
-    own += [Rival("growing loss", Explanation(claim, end_s, grows=GROWS)), Rival("stuck", Explanation(claim, end_s, gives=2.0))]
+    own = [*_losses(claim, end_s), Rival("lasting loss", Explanation(claim))]
     own += [Rival(f"capped {q:g}", Explanation(claim, end_s, cap=cap)) for q, cap in (caps or {}).items()]
     pairs = [Rival("two losses", Explanation((*claim, i), end_s)) for i in range(n) if len(claim) == 1 and i not in claim]
     return [*own, *rest, *singles, *pairs]
+
+
+def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
+    """A loss of these rotors: at once, growing, or of their commands' effect."""
+    return [
+        Rival("loss", Explanation(who, end_s)), Rival("growing loss", Explanation(who, end_s, grows=GROWS)),
+        Rival("stuck", Explanation(who, end_s, gives=GIVES)),
+    ]  # fmt: skip
 
 
 def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:

@@ -2,10 +2,12 @@
 
 For claim c with the explanations e, of which T_c agree with what was done to the vehicle,
 
-    minimise  -sum_c log( sum_{e in T_c} exp(w_e + b log p_e) / sum_e exp(w_e + b log p_e) ) + sum_g (w_g - w0_g)^2 / (2 WIDTH^2)
+    P_c = sum_{e in T_c} exp(w_e + b log p_e) / sum_e exp(w_e + b log p_e)
+    minimise  -sum_c log( (1 - OUTSIDE) P_c + OUTSIDE ) + sum_g (w_g - w0_g)^2 / (2 WIDTH^2)
 
 over the weights w_g of the groups of explanations (that of a loss is 0) and log b, with the weights w0 in use: multinomial logistic
-regression. b is below 1 where residuals are less white than the filters believe. Flights of other seeds check the result.
+regression. b is below 1 where residuals are less white than the filters believe. OUTSIDE is the share of claims that something else than
+any explanation makes, such as a swinging load: without it a single one of 30 nats decides b. Flights of other seeds check the result.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from rotorwatch_lab.campaign.claims import HARMLESS, Fault, Flown
 from rotorwatch_lab.campaign.plan import Plan, read
 from rotorwatch_lab.experiments import tools
 
+OUTSIDE = 0.01
 WIDTH = 1.5  # nats: how far the data of few claims move a weight
 FIXED = ("loss", "lasting")  # a loss of one rotor, over or not: what the others are relative to
 NEAR_S = 3.0  # a claim's onset and the fault's
@@ -80,14 +83,17 @@ def labelled(flown: Sequence[Flown]) -> list[Labelled]:
 
 
 def log_loss(data: Sequence[Labelled], weights: Mapping[str, float] | None = None, temper: float | None = None) -> float:
-    """Mean of -log P(truth), in nats."""
+    """Mean of -log((1 - OUTSIDE) P + OUTSIDE) with the probability P of the truth, in nats."""
     if not data:
         return float("nan")
-    return float(np.mean([_surprise(d.claim.logs(weights, temper), d.agrees) for d in data]))
+    return float(np.mean([_surprise(d.claim.logs(weights, temper), d.agrees)[0] for d in data]))
 
 
-def _surprise(logs: np.ndarray, agrees: np.ndarray) -> float:
-    return float(np.logaddexp.reduce(logs) - np.logaddexp.reduce(logs[agrees]))
+def _surprise(logs: np.ndarray, agrees: np.ndarray) -> tuple[float, float]:
+    """-log((1 - OUTSIDE) P + OUTSIDE), and its slope over -log P."""
+    p = float(np.exp(np.logaddexp.reduce(logs[agrees]) - np.logaddexp.reduce(logs)))
+    seen = (1.0 - OUTSIDE) * p + OUTSIDE
+    return -float(np.log(seen)), (1.0 - OUTSIDE) * p / seen
 
 
 def share(logs: np.ndarray) -> np.ndarray:
@@ -112,8 +118,9 @@ def fit(data: Sequence[Labelled], width: float = WIDTH) -> tuple[dict[str, float
         value, slope = float(((w - prior) ** 2).sum()) / (2.0 * width**2), np.append((w - prior) / width**2, 0.0)
         for d, columns, p in zip(data, has, log_p):
             logs = columns @ w + b * p
-            value += _surprise(logs, d.agrees)
-            change = share(logs) - share(np.where(d.agrees, logs, -np.inf))
+            surprise, steep = _surprise(logs, d.agrees)
+            value += surprise
+            change = steep * (share(logs) - share(np.where(d.agrees, logs, -np.inf)))
             slope[:-1] += columns.T @ change
             slope[-1] += b * float(p @ change)
         return value, slope
