@@ -121,9 +121,9 @@ def test_a_loss_that_is_over_stays_over():
 
 
 def test_an_open_claim_becomes_an_event_or_goes():
-    kept, open_, _ = heard(flight(0.2), (), [claim(1, kind=EVIDENCE)])
+    kept, open_, _ = heard(flight(0.3), (), [claim(1, kind=EVIDENCE)])
     assert [(e.kind, e.rotors) for e in kept] == [(LOSS, (1,))] and not open_
-    assert kept[0].interval[0][0] <= 0.2 <= kept[0].interval[0][1] and kept[0].extra["live"] is False
+    assert kept[0].interval[0][0] <= 0.3 <= kept[0].interval[0][1] and kept[0].extra["live"] is False
     assert heard(flight(trim=lambda time: np.outer(time > ONSET_S, WIND)), (), [claim(1, kind=EVIDENCE)])[:2] == ((), ())
 
 
@@ -146,7 +146,7 @@ def test_a_slow_motor_is_named():
 
 def test_a_turned_mount_is_no_loss():
     def turned(time):
-        return np.outer(time > ONSET_S, [0.0, 0.0, 0.3, 0.0])
+        return np.outer(time > ONSET_S, [0.0, 0.0, 0.6, 0.0])
 
     found = rivals.weigh(view(flight(trim=turned)), claim(1), ())
     assert found is not None and found.weighed().none > 0.9

@@ -18,31 +18,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.engine.events.decisions import CLEAR
 
-# Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; "beside": added for two at once.
+# Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; added are
+# "beside" for two at once, and "claimed" where the rotors are those of a loss that was announced.
 WEIGHTS: dict[str, float] = {
-    "loss": 0.0, "lasting": 0.0, "growing": -1.0, "stuck": -2.3, "capped": -2.3, "two": -2.3, "slow": -1.0, "turned": -1.0,
-    "nothing": 3.0, "step": 2.0, "shift": 2.0, "move": 2.0, "wrench": 2.0, "beside": -1.0,
+    "loss": 0.0, "lasting": 0.0, "growing": -0.6, "stuck": -2.3, "capped": -3.3, "two": -5.9, "slow": -2.6, "turned": -1.8,
+    "nothing": 5.8, "step": 0.2, "shift": 1.2, "move": 0.9, "wrench": 0.3, "beside": -0.9, "claimed": 1.2,
 }  # fmt: skip
-TEMPER = 1.0
+TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
 
 
 class Limits(NamedTuple):
-    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. sure, credible: probabilities from which an open
-    claim becomes an event, and below which it is dropped; certain: of no loss, for one that grows, as the noise that a flight has taught
-    holds its slow changes. claimed, scanned: nats by which an explanation must exceed all others: an open claim's, to become an event;
-    one that nothing but the scan has pointed to. Real motors differ in lag, and controllers follow their own noise: healthy real flights
-    reach 16."""
+    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. sure: probability from which an open claim becomes
+    an event, a claim that grows or is ambiguous is dropped, and of all else from which an open claim is. scanned: nats by which an
+    explanation that nothing but the scan has pointed to must exceed all others: real motors differ in lag, and controllers follow their own
+    noise; healthy real flights reach 8."""
 
     clear: float = CLEAR
     sure: float = 0.99
-    credible: float = 0.05
-    certain: float = 1.0 - 1e-8
-    claimed: float = 8.0
-    scanned: float = 25.0
+    scanned: float = 10.0
 
 
 LIMITS = Limits()
@@ -132,7 +128,11 @@ class Comparison:
     def logs(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> np.ndarray:
         """Log weight and evidence of each row."""
         w, b = WEIGHTS if weights is None else weights, TEMPER if temper is None else temper
-        return np.array([w[r.group] + (w["beside"] if r.beside else 0.0) + b * r.log_p for r in self.rows])
+        return np.array([sum(w[name] for name in self.weights(r)) + b * r.log_p for r in self.rows])
+
+    def weights(self, one: Row) -> tuple[str, ...]:
+        """Names in WEIGHTS of what adds to the log weight of a row."""
+        return (one.group, *(("beside",) if one.beside else ()), *(("claimed",) if self.claims(one) else ()))
 
     def weighed(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> Weighed:
         """The probabilities."""
@@ -177,19 +177,18 @@ class Comparison:
         if len(self.rotors) == 1 and found.slow[self.rotors[0] - 1] > limits.sure and found.ahead > limits.scanned:
             return Decision.SLOW
         clear = limits.clear / (1.0 + limits.clear)
-        if found.none > (limits.certain if self.grows else limits.sure if self.alternatives else clear):
+        if found.none > (limits.sure if self.grows or self.alternatives else clear):
             return Decision.DROPPED
         return Decision.OPEN if found.none > 1.0 - clear and not self.alternatives else Decision.LOSS
 
     def _settled(self, found: Weighed, limits: Limits) -> Decision:
         who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))
         share = 0.0 if who is None else found.others[who]
-        if share > limits.sure and found.ahead > (limits.scanned if self.origin == SCAN else limits.claimed):
+        if share > limits.sure and (found.ahead > limits.scanned or self.origin != SCAN):
             return Decision.LOSS if who in found.best else Decision.OPEN
         if found.slow[slow] > limits.sure and found.ahead > limits.scanned and slow + 1 in self.rotors:
             return Decision.SLOW
-        credible = 1.0 - limits.certain if self.origin == event_rows.TRIM.name else limits.credible
-        return Decision.OPEN if share > credible else Decision.DROPPED
+        return Decision.OPEN if share > 1.0 - limits.sure else Decision.DROPPED
 
     def to_dict(self) -> dict[str, Any]:
         """The documented JSON structure (docs/json.md)."""

@@ -102,15 +102,15 @@ def share(logs: np.ndarray) -> np.ndarray:
     return p / p.sum()
 
 
-def fit(data: Sequence[Labelled], width: float = WIDTH) -> tuple[dict[str, float], float]:
-    """(weights, temper) of greatest penalised likelihood. Raises ConfigError for too few claims."""
+def fit(data: Sequence[Labelled], width: float = WIDTH, temper: float | None = None) -> tuple[dict[str, float], float]:
+    """(weights, temper) of greatest penalised likelihood; temper: fixed, where given. Raises ConfigError for too few claims."""
     if len(data) < LEAST:
         raise ConfigError(f"Weights need {LEAST} claims of known truth, these flights have {len(data)}: give more flights.")
     from scipy.optimize import minimize
 
     free = [g for g in odds.WEIGHTS if g not in FIXED]
     prior = np.array([odds.WEIGHTS[g] for g in free])
-    has = [np.array([[(r.group == g) or (g == "beside" and bool(r.beside)) for g in free] for r in d.claim.rows], float) for d in data]
+    has = [np.array([[g in d.claim.weights(r) for g in free] for r in d.claim.rows], float) for d in data]
     log_p = [np.array([r.log_p for r in d.claim.rows]) for d in data]
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -123,9 +123,10 @@ def fit(data: Sequence[Labelled], width: float = WIDTH) -> tuple[dict[str, float
             change = steep * (share(logs) - share(np.where(d.agrees, logs, -np.inf)))
             slope[:-1] += columns.T @ change
             slope[-1] += b * float(p @ change)
-        return value, slope
+        return value, slope if temper is None else np.append(slope[:-1], 0.0)
 
-    found = minimize(cost, np.append(prior, np.log(odds.TEMPER)), jac=True, method="L-BFGS-B").x
+    start = np.append(prior, np.log(odds.TEMPER if temper is None else temper))
+    found = minimize(cost, start, jac=True, method="L-BFGS-B").x
     return {**odds.WEIGHTS, **{g: float(v) for g, v in zip(free, found)}}, float(np.exp(found[-1]))
 
 
