@@ -39,7 +39,8 @@ def flown(claims_=(), faults=(), kind="", events=()):
 
 def test_probabilities_are_weights_times_evidence():
     logs = np.array([2.0, 1.0, 0.0, -1.0, 3.0, 1.5])
-    weights = np.array([odds.WEIGHTS[name.split()[0]] + (odds.WEIGHTS["beside"] if other else 0.0) for name, other, _ in NAMES])
+    more = [(odds.WEIGHTS["beside"] if other else 0.0) + (odds.WEIGHTS["claimed"] if 0 in who else 0.0) for _, other, who in NAMES]
+    weights = np.array(more) + [odds.WEIGHTS[name.split()[0]] for name, *_ in NAMES]
     share = np.exp(weights + odds.TEMPER * logs)
     share /= share.sum()
     found = a_claim(logs).weighed()
@@ -48,25 +49,31 @@ def test_probabilities_are_weights_times_evidence():
     assert found.lasts == pytest.approx(weights[1] - weights[0] + odds.TEMPER * (logs[1] - logs[0]))
 
 
-@pytest.mark.parametrize(
-    ("ahead", "decision"), [((40.0, 0.0), odds.Decision.LOSS), ((0.0, 40.0), odds.Decision.DROPPED), ((2.5, 0.0), odds.Decision.OPEN)]
-)
-def test_a_claimed_loss_stands_is_open_or_goes(ahead, decision):
-    claim = a_claim([ahead[0], ahead[0], ahead[1], -99.0, -99.0, -99.0])
+@pytest.mark.parametrize(("log_odds", "decision"), [(20.0, odds.Decision.LOSS), (-20.0, odds.Decision.DROPPED), (0.0, odds.Decision.OPEN)])
+def test_a_claimed_loss_stands_is_open_or_goes(log_odds, decision):
+    names = (("loss", "", (0,)), ("nothing", "", ()))
+    against = odds.WEIGHTS["nothing"] - odds.WEIGHTS["claimed"]
+    claim = a_claim([(against + log_odds) / odds.TEMPER, 0.0], names)
     assert claim.decided(claim.weighed()) is decision
 
 
-def test_an_open_claim_needs_more_than_one_that_was_announced_and_the_scan_most():
+def test_what_only_the_scan_has_pointed_to_must_exceed_all_else_by_more():
     names = (("nothing", "", ()), ("loss", "", (0,)), ("slow 0.2 s", "", (0,)))
-    margin = (odds.WEIGHTS["nothing"] + 0.5 * (odds.LIMITS.claimed + odds.LIMITS.scanned)) / odds.TEMPER
-    cases = ((margin, "steps"), (margin, odds.SCAN), (-20.0, "steps"))
+    margin = (odds.WEIGHTS["nothing"] + 0.5 * (np.log(SURE / (1.0 - SURE)) + odds.LIMITS.scanned)) / odds.TEMPER
+    cases = ((margin, "steps"), (margin, odds.SCAN), (-20.0 / odds.TEMPER, "steps"))
     open_, scanned, faint = (a_claim([0.0, x, -99.0], names, named=False, origin=origin) for x, origin in cases)
     decisions = [c.decided(c.weighed()) for c in (open_, scanned, faint)]
     assert decisions == [odds.Decision.LOSS, odds.Decision.OPEN, odds.Decision.DROPPED]
-    late = a_claim([0.0, 0.0, 2.0 * margin], names, named=False, origin=odds.SCAN)
+    late = a_claim([0.0, 0.0, 3.0 * margin], names, named=False, origin=odds.SCAN)
     assert late.decided(late.weighed()) is odds.Decision.SLOW
     other = replace(late, rotors=(2,))
     assert other.decided(other.weighed()) is odds.Decision.DROPPED  # slow is another rotor than the one that was pointed to
+
+
+def test_a_stuck_rotor_alone_has_no_size_and_stays_open():
+    names = (("nothing", "", ()), ("stuck", "", (0,)))
+    claim = a_claim([0.0, 60.0 / odds.TEMPER], names, named=False, origin="steps")
+    assert claim.decided(claim.weighed()) is odds.Decision.OPEN
 
 
 def test_the_json_holds_what_decides():
