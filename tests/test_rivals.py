@@ -198,6 +198,10 @@ def test_a_lag_delays_commands_and_keeps_their_mean():
     assert slow.thrust.mean() == pytest.approx(ticks.thrust.mean(), abs=1e-3)
     assert np.ptp(slow.thrust) < np.ptp(ticks.thrust)
     assert slow.wrench == pytest.approx(slow.thrust @ QUAD.T)
+    given, kept = ticks.thrust.copy(), np.exp(-DT / 0.1)
+    for k in range(1, len(given)):
+        given[k] = kept * given[k - 1] + (1.0 - kept) * ticks.thrust[k]
+    assert slow.thrust == pytest.approx(given, rel=1e-12)
 
 
 def grounded(carried, loss=0.0, axial=None):
