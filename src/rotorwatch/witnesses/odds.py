@@ -37,7 +37,7 @@ class Limits(NamedTuple):
     noise; healthy real flights reach 8."""
 
     clear: float = CLEAR
-    sure: float = 0.99
+    sure: float = 0.95
     scanned: float = 10.0
 
 

@@ -217,9 +217,9 @@ def fit_odds(
     """Fit to claims in flights of a plan with `seed` and every second healthy log, and check on flights with the seed after it and the
     other logs. Neither may be the plan's own seed.
 
-    plan: judged by logs (docs/campaigns.md#plans), or its file. healthy: logs. flights, held_out: how many to fit to, to check on. jobs,
-    scheduler: as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from which the same call
-    goes on. Raises ConfigError, LogError.
+    plan: judged by logs (docs/campaigns.md#plans), or its file. healthy: logs. flights, held_out: how many to fit to, to check on. seed:
+    of those to fit to. jobs, scheduler: as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished,
+    from which the same call goes on. Raises ConfigError, LogError.
     """
     plan = plan if isinstance(plan, Plan) else read(plan)
     if plan.seed in (seed, seed + 1):

@@ -60,10 +60,10 @@ def reliability(
 ) -> list[Bin]:
     """Diagnose flights of known truth, and compare stated probabilities with how often they are right.
 
-    plan: judged by logs, flown with its own seed, or its file; flights: how many of it. healthy: logs, judged as they are and with each of
-    `losses` put into every rotor once. truths: tables of truth (docs/tuning.md#odds-of-explanations). jobs, scheduler: as for `many.run`.
-    progress: called as progress(share, text). keep: a folder for what is finished, from which the same call goes on. Raises ConfigError,
-    LogError.
+    plan: judged by logs, flown with its own seed, or its file; flights: how many of it. healthy: logs. losses: each is put into every rotor
+    of them once; they are judged as they are, too. truths: tables of truth (docs/tuning.md#odds-of-explanations). jobs, scheduler: as for
+    `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from which the same call goes on. Raises
+    ConfigError, LogError.
     """
     plan = plan if plan is None or isinstance(plan, Plan) else read(plan)
     return bins(claims.collect(plan, flights, None, healthy, losses, truths, jobs, progress, scheduler, keep))
