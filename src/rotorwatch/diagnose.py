@@ -174,8 +174,8 @@ def _beside(case: Case, done: Estimated, answer: Answer, clock: _Clock) -> dict[
     common = common_mode.thrust_shift(out.biases[judged, 3]) if not answer.doubts and case.hovers else {}
     times, hyp = (case.air, case.ready_s, done.limit), list_hypotheses(B.shape[1])
     trace = traces.compose(case.flight, out, table, hyp, B, *times, end.events, answer.evidence, end.rotors)
-    whole = answer.facts.get("whole_flight")
-    return {"common_mode": common, "comparison": comparison, "whole_flight": whole, "trace": trace, "own": done.series}
+    facts = {"whole_flight": answer.facts.get("whole_flight"), "compared": tuple(c.to_dict() for c in answer.facts.get("compared", ()))}
+    return {"common_mode": common, "comparison": comparison, **facts, "trace": trace, "own": done.series}
 
 
 def _diagnosis(case: Case, answer: Answer, clock: _Clock, **more) -> Diagnosis:

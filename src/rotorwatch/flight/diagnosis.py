@@ -20,7 +20,7 @@ EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclus
 # Fields of the JSON answer (docs/json.md) in their order; of an event, before those of its kind; of a rotor.
 ANSWER = (
     "flight", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "rotors", "events", "common_mode",
-    "whole_flight", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",
+    "whole_flight", "compared", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",
 )  # fmt: skip
 EVENT = (
     "kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval", "probability", "reason",
@@ -223,8 +223,8 @@ class Diagnosis:
     for plots. doubts: why the log may not show the real flight, a sentence each (the first is then the reason). story: the sequence of a
     loss of control, four sentences in order of time, or empty. picture: attitude and commands around it (docs/json.md), or None. aircraft:
     its identity, such as a serial number; empty where the log has none; not in the JSON. own: of a published method, its own series over
-    the flight (`own_estimate` of the JSON). balance: what a sensor hears of the rotors (witnesses/balance/figures.py), for the report, not
-    in the JSON."""
+    the flight (`own_estimate` of the JSON). compared: claims of losses and what else explains the motion (docs/json.md). balance: what a
+    sensor hears of the rotors (witnesses/balance/figures.py), for the report, not in the JSON."""
 
     flight: Mapping[str, Any]
     verdict: str
@@ -248,6 +248,7 @@ class Diagnosis:
     picture: Mapping[str, Any] | None = None
     aircraft: str = ""
     own: MethodSeries | None = None
+    compared: tuple[Mapping[str, Any], ...] = ()
     balance: Any = None
 
     @property
@@ -280,9 +281,9 @@ class Diagnosis:
         if found.get("schema") != SCHEMA:
             raise ConfigError(f"This diagnosis has the schema {found.get('schema')}, not {SCHEMA}; diagnose the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
-        optional_ = {"timing": {}, "picture": None, "story": ()}
+        optional_ = {"timing": {}, "picture": None, "story": (), "compared": ()}
         answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}
-        answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "advice")}
+        answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "compared", "advice")}
         answer["rotors"] = tuple(RotorState(**_tuples(r)) for r in rotors)
         answer["events"] = tuple(map(Event.from_dict, found["events"]))
         answer["story"] = tuple(StoryLine(**line) for line in answer["story"])

@@ -11,6 +11,7 @@ flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUD
                 vehicle can give; aerobatic: vehicles that do not hover; esc_telemetry
 estimator       program: the default estimator over ticks, TickOutput; list_hypotheses, rotor_sets; the states of its plant and the prior
                 of losses, in capitals; ENGINE, its compiled definition, and DEFINITIONS, the modules that hold its constants
+comparison      odds: explanations of a claim, their weights and probabilities; witness: all that are asked, and all but one
 excitation      excitation_response: the answer to it; null_space, ExcitationNoise, noise_covariance
 export, fleet   export_default; Exported and saved, a C project in a folder; Store, assess, fleet_judge, prognosis
 
@@ -75,12 +76,14 @@ _PLACES = {
     "noise_covariance": "witnesses.null_space:covariance",
     "null_space": "witnesses.null_space:null_space",
     "observe": "engine.driver:observe",
+    "odds": "witnesses.odds",
     "prepare": "diagnose:prepare",
     "prognosis": "fleet.prognosis",
     "program": "engine.bindings.program",
     "rotor_sets": "engine.bindings.event_rows:rotor_sets",
     "saved": "export.projects:saved",
     "usual_gains": "engine.bindings.plant_rows:usual_gains",
+    "witness": "witnesses.witness",
 }
 """Name -> module, or module:name, below rotorwatch."""
 
@@ -147,12 +150,14 @@ __all__ = [
     "noise_covariance",
     "null_space",
     "observe",
+    "odds",
     "prepare",
     "prognosis",
     "program",
     "rotor_sets",
     "saved",
     "usual_gains",
+    "witness",
 ]  # fmt: skip
 
 if TYPE_CHECKING:
@@ -206,6 +211,8 @@ if TYPE_CHECKING:
     from rotorwatch.fleet.store import Store as Store
     from rotorwatch.witnesses import attainable as attainable
     from rotorwatch.witnesses import excitation_response as excitation_response
+    from rotorwatch.witnesses import odds as odds
+    from rotorwatch.witnesses import witness as witness
     from rotorwatch.witnesses.aerobatic import judge as aerobatic
     from rotorwatch.witnesses.esc import telemetry as esc_telemetry
     from rotorwatch.witnesses.healthy import baselines as baselines

@@ -7,6 +7,7 @@ attainable.py            every thrust and moment that a vehicle can still give, 
 null_space.py            commands that move nothing, and the noise that their effect is seen in
 near_ground.py           losses that the ground explains as well
 rivals.py                losses compared with what else explains the motion that followed
+odds.py                  weights and probabilities of these explanations
 leaning.py               a lasting lateral force at rest: contact, however slowly it began
 reports.py               the autopilot's own reports, and quantities beyond five of its limits
 battery.py               whether the battery's voltage fell by more than its current explains

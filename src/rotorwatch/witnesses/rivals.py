@@ -2,33 +2,26 @@
 
 The estimator announces a loss as soon as it is likelier than what it has seen of this flight's disturbances. After the flight more is
 known: the motion that followed. A loss must predict it, on all axes, as well as the healthy model predicted the motion before; wind, a
-knock, the ground or a tether need not have the direction of a rotor, nor follow its command. Each explanation e of a change has the
-evidence log p_e of `engine.estimator.explanations` and a prior log weight, and
-
-    P(loss of these rotors) = sum of w_e p_e over explanations with it / sum over all
-
-Where the rest is ten times likelier, the loss is no event. Where it is not ten times less likely, it is an open claim, and where another
-rotor is not, that rotor is an alternative. An open claim of one rotor that is SURE and exceeds all else by CLAIMED becomes an
-event, and one that is not credible is dropped. A loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
+knock, the ground or a tether need not have the direction of a rotor, nor follow its command. odds.py has the weights of the explanations,
+and decides what becomes of a claim. A loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
-from rotorwatch.engine.events.decisions import CLEAR
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
+from rotorwatch.witnesses.odds import LIMITS, SCAN, Comparison, Decision, Rival, Weighed, row
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 register(
@@ -43,30 +36,27 @@ register(
         ),
     )
 )  # fmt: skip
-SOURCE = Source("rivals", 3)
+SOURCE = Source(SCAN, 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
 LANDED_S = 1.0  # of the log after a landing
 FALL_S = 4.0  # before a loss of control: what follows is the fall
-# Nats by which an explanation must exceed all others: an open claim's, to become an event; one that nothing but the scan has pointed to.
-# Real motors differ in lag, and controllers follow their own noise: healthy real flights reach 16.
-CLAIMED, SCANNED = 8.0, 25.0
-SURE, CREDIBLE = 0.99, 0.05  # probabilities from which an open claim becomes an event, and below which it is dropped
-CERTAIN = 1.0 - 1e-8  # the noise that a flight has taught holds its slow changes, so that the motion says little of a loss that grows
-# Log weights, relative to a loss of one particular rotor.
-NOTHING, OTHER, BESIDE, PAIR, STUCK, SLOW = 3.0, 2.0, -1.0, -2.3, -2.3, -1.0
-# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; a free wrench, as a factor of them,
-# for so many s; and a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)],
-# and its lever in a side force.
+COMPARED = "compared"  # in View.facts: all comparisons of the flight
+# What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; one that grows with the thrust, as by
+# a load that shifts; a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)], which grows with the thrust, and
+# its lever in a side force; and a free wrench, as a factor of the disturbances, for so many s.
 ELSE = (
-    *(Explanation(step=step) for step in (1.0, 4.0)),
-    *(Explanation(drift=drift, lever=lever) for drift, lever in ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0), (0.12, 14.0))),
-    *(Explanation(step=1.0, force=force, force_s=lasts)
-      for force, lasts in ((10.0, 1.0), (10.0, 3.0), (3.0, 10.0), (10.0, 10.0), (3.0, np.inf))),
+    *(Rival(f"step {step:g}", Explanation(step=step)) for step in (1.0, 4.0)),
+    Rival("shift", Explanation(step=1.0, load=1.0)),
+    *(Rival(f"move {drift:g}, lever {lever:g}", Explanation(drift=drift, lever=lever, load=1.0))
+      for drift, lever in ((0.04, 0.0), (0.04, 7.0), (0.04, 14.0), (0.12, 0.0))),
+    *(Rival(f"wrench {force:g}, {lasts:g} s", Explanation(step=1.0, force=force, force_s=lasts))
+      for force, lasts in ((10.0, 1.0), (3.0, 10.0), (3.0, np.inf))),
 )  # fmt: skip
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
+GIVES = 2.0  # of a rotor that is stuck: standard deviation of its thrust, hover thrusts
 CAPS = (0.5, 0.75, 0.9)  # quantiles of a rotor's commands that may be its cap
 LATES_S = (0.08, 0.2)  # of a slow motor
 # Of the scan: evidence beyond any other rotor's, twice in nats; by which the onset's may be lower; lag; least information.
@@ -74,104 +64,80 @@ SUSPECTS, LATELY, SLOWS_S, INFORMATION = 60.0, 15.0, 0.1, 20.0
 LAGS_S = (0.0, 0.03, 0.06, 0.12)  # of all motors, beyond the lag that the ticks assume
 
 
-class Rival(NamedTuple):
-    """An explanation and its prior log weight."""
-
-    how: Explanation
-    weight: float = 0.0
-
-    @property
-    def weak(self) -> tuple[int, ...]:
-        """The rotors that lose thrust, from 0."""
-        return () if self.how.late or self.how.turned or self.how.cap else self.how.rotors
-
-
-def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Sequence[float] = ()) -> list[Rival]:
+def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Mapping[float, float] | None = None) -> list[Rival]:
     """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of: it
-    comes first; caps: thrusts that may be the most that they give, hover thrusts."""
-    rest = [Rival(Explanation(), NOTHING), *(Rival(e, OTHER) for e in ELSE)]
-    rest += [Rival(Explanation((i,), end_s, late=late), SLOW) for i in range(n) for late in LATES_S]
-    rest += [Rival(Explanation((i,), end_s, turned=TURNS), SLOW) for i in range(n)]
-    singles = [Rival(Explanation((i,), end_s)) for i in range(n) if (i,) != claim]
+    comes first; caps: quantile -> thrust that may be the most that they give, hover thrusts."""
+    rest = [Rival("nothing", Explanation()), *ELSE]
+    rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
+    rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
+    singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
     if not claim:
         return [*rest, *singles]
-    own = [Rival(Explanation(claim, end_s)), Rival(Explanation(claim)), Rival(Explanation(claim, end_s, grows=GROWS), BESIDE)]
-    own += [Rival(Explanation(claim, end_s, gives=2.0), STUCK), *(Rival(Explanation(claim, end_s, cap=cap), STUCK) for cap in caps)]
-    pairs = [Rival(Explanation((*claim, i), end_s), PAIR) for i in range(n) if len(claim) == 1 and i not in claim]
+    own = [*_losses(claim, end_s), Rival("lasting loss", Explanation(claim))]
+    own += [Rival(f"capped {q:g}", Explanation(claim, end_s, cap=cap)) for q, cap in (caps or {}).items()]
+    pairs = [Rival("two losses", Explanation((*claim, i), end_s)) for i in range(n) if len(claim) == 1 and i not in claim]
     return [*own, *rest, *singles, *pairs]
+
+
+def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
+    """A loss of these rotors: at once, growing, or of their commands' effect."""
+    return [
+        Rival("loss", Explanation(who, end_s)), Rival("growing loss", Explanation(who, end_s, grows=GROWS)),
+        Rival("stuck", Explanation(who, end_s, gives=GIVES)),
+    ]  # fmt: skip
 
 
 def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
     """The loss together with the likeliest of what else moves the vehicle, and so the likeliest slow rotor or turned mount."""
-    others = sorted((k for k, r in enumerate(them) if r.how in ELSE), key=lambda k: -logs[k])[:COMPANIONS]
-    odd = max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])
-    own = [Rival(them[k].how._replace(rotors=claim, end_s=end_s), BESIDE) for k in others]
-    same = {name: getattr(them[odd].how, name) for name in ("rotors", "end_s", "late", "turned")}
-    return [*own, *(Rival(them[k].how._replace(**same), them[odd].weight + BESIDE) for k in others)]
+    likely = sorted((k for k, r in enumerate(them) if r in ELSE), key=lambda k: -logs[k])[:COMPANIONS]
+    odd = them[max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])]
+    own = [Rival("loss", them[k].how._replace(rotors=claim, end_s=end_s), them[k].name) for k in likely]
+    same = {name: getattr(odd.how, name) for name in ("rotors", "end_s", "late", "turned")}
+    return [*own, *(Rival(odd.name, them[k].how._replace(**same), them[k].name) for k in likely)]
 
 
-class Weighed(NamedTuple):
-    """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
-    rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    lasts: log odds that the loss is not over. loss, sd: of each set."""
-
-    claim: float
-    none: float
-    others: dict[tuple[int, ...], float]
-    slow: np.ndarray
-    ahead: float
-    lasts: float
-    loss: dict[tuple[int, ...], np.ndarray]
-    sd: dict[tuple[int, ...], np.ndarray]
-
-
-def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True) -> Weighed | None:
-    """The probabilities of a loss and its rivals; None where too little follows it to tell. events: all of the flight; named: the event's
-    rotors are claimed, else any one may be."""
-    table, B, learned = view.table, view.B, view.learned
-    assert table is not None and learned is not None
+def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True) -> Comparison | None:
+    """A loss compared with its rivals; None where too little follows it to tell. events: all of the flight; named: the event's rotors are
+    claimed, else any one may be."""
+    assert view.learned is not None
     claim = tuple(r - 1 for r in event.rotors) if named else ()
-    also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     end_s = np.inf if event.end_s is None or not named else event.end_s
+    where = _span(view, event, events, named, end_s)
+    if where is None:
+        return None
+    highest = where.ticks.thrust[where.onset :, list(claim)].max(axis=1) if claim else np.zeros(0)
+    them = rivals(view.B.shape[1], claim, end_s, {q: float(np.quantile(highest, q)) for q in CAPS} if claim else None)
+    also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
+    them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
+    fits = compare(where, [r.how for r in them])
+
+    def compared() -> Comparison:
+        return Comparison(
+            event.onset_s, event.rotors, named, event.alternatives if named else (), event.source.name, "grew_until_s" in event.extra,
+            view.B.shape[1], tuple(map(row, them, fits)),
+        )  # fmt: skip
+
+    if claim:
+        more = beside(claim, end_s, them, compared().logs())
+        fits += compare(where, [them[0].how, *(r.how for r in more)])[1:]
+        them += more
+    return compared()
+
+
+def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s: float) -> Span | None:
+    """The ticks that tell of an event that is over at end_s, or None where they are too few."""
+    table, learned = view.table, view.learned
+    assert table is not None and learned is not None
     begun = event.extra.get("grew_until_s", event.detected_s) if named else event.onset_s
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
-    where = span(table, B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
+    where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
     if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S:
         return None
     if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
         return None
-    where = _in_time(where)
-    caps = np.quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAPS).tolist() if claim else ()
-    them = rivals(B.shape[1], claim, end_s, caps) + [Rival(Explanation(who, end_s)) for who in also if len(who) > 1]
-    fits = compare(where, [r.how for r in them])
-    logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
-    if claim:
-        more = beside(claim, end_s, them, logs)
-        fits += compare(where, [them[0].how, *(r.how for r in more)])[1:]
-        them += more
-        logs = np.array([f.log_p + r.weight for f, r in zip(fits, them)])
-    share = np.exp(logs - logs.max())
-    share /= share.sum()
-    weak = [tuple(sorted(i for i in r.weak if f.loss[i] > 0.0)) for f, r in zip(fits, them)]
-    late = [r.how.rotors if r.how.late else () for r in them]
-    odd = [r.how.rotors if r.how.late or r.how.cap else () for r in them]
-    first = int(np.argmax(logs))
-    mine = np.array([bool(claim) and (any(set(c) <= set(w) for c in (claim, *also)) or claim == who) for w, who in zip(weak, odd)])
-    none = np.array([not w for w in weak]) & ~mine
-    rest = sorted(set(weak) - {w for w, own in zip(weak, mine) if own} - {()})
-    best = {w: max((k for k in range(len(them)) if weak[k] == w), key=lambda k: share[k]) for w in rest}
-    return Weighed(
-        float(share[mine].sum()),
-        float(share[none].sum()),
-        {w: float(sum(share[k] for k in range(len(them)) if weak[k] == w)) for w in rest},
-        np.array([sum(share[k] for k, who in enumerate(late) if who == (i,)) for i in range(B.shape[1])]),
-        float(logs[first] - max((x for x, w, who in zip(logs, weak, late) if (w, who) != (weak[first], late[first])), default=-np.inf)),
-        fits[1].log_p - fits[0].log_p if claim else 0.0,
-        {w: fits[k].loss[list(w)] for w, k in best.items()},
-        {w: fits[k].sd[list(w)] for w, k in best.items()},
-    )
+    return _in_time(where)
 
 
 def _in_time(where: Span) -> Span:
@@ -203,34 +169,48 @@ def _hear(view: View, events: Events) -> Events:
     kept: list[Event] = []
     open_: list[Event] = []
     for e in events:
-        near_fall = any(e.onset_s <= t <= e.detected_s + FALL_S for t in view.lost)
         if e.kind == LOSS and any(k.end_s is None and k.kind in (LOSS, SLOW_RESPONSE) and k.rotors == e.rotors for k in kept):
             continue  # an earlier one lasts
-        settled = e.kind != LOSS or near_fall or view.spins_from(e.onset_s) or "asked" in e.extra
-        found = None if settled else weigh(view, e, events)
-        if found is None:
-            if not (settled or _total(e) or e.alternatives) and _lands(view, e):  # no motion could have refuted it
-                open_.append(_opened(e, e.probability))
-            else:
-                kept.append(e)
-        elif len(e.rotors) == 1 and found.slow[e.rotors[0] - 1] > SURE and found.ahead > SCANNED:
-            kept.append(_slow(e.onset_s, e.detected_s, e.rotors[0], found))
-        elif found.none > (CERTAIN if "grew_until_s" in e.extra else SURE if e.alternatives else CLEAR / (1.0 + CLEAR)):
-            view.warnings.append(_warning(e))
-        elif found.none > 1.0 / (1.0 + CLEAR) and not e.alternatives:
-            open_.append(_opened(e, found.claim))
-        else:
-            kept.append(_named(e, found))
+        event, claim = _confirmed(view, e, events)
+        kept += event
+        open_ += claim
     accused = bool(open_) or any(e.means.accuses for e in kept)
     for c in view.open:
         if c.kind != EVIDENCE or not (view.stands(c.onset_s) or (_residual(c) and not accused)):
-            kept_, left = _settled(view, c, kept)
-            kept += kept_
-            open_ += left
+            event, claim = _settled(view, c, kept)
+            kept += event
+            open_ += claim
     for c in _suspects(view, kept):
         kept += _settled(view, c, kept)[0]
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
+
+
+def _weighed(view: View, event: Event, events: Sequence[Event], named: bool) -> tuple[Weighed | None, Decision]:
+    """The probabilities and the decision on a claim; the comparison is kept for the answer."""
+    compared = weigh(view, event, events, named)
+    if compared is None:
+        return None, Decision.OPEN
+    view.facts.setdefault(COMPARED, []).append(compared)
+    found = compared.weighed()
+    return found, compared.decided(found)
+
+
+def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], list[Event]]:
+    """(the event that a claimed loss turns out to be, the claim where it stays open)."""
+    falls = any(event.onset_s <= t <= event.detected_s + FALL_S for t in view.lost)
+    if event.kind != LOSS or falls or view.spins_from(event.onset_s) or "asked" in event.extra:
+        return [event], []
+    found, decision = _weighed(view, event, events, True)
+    if found is None:
+        refutable = _total(event) or event.alternatives or not _lands(view, event)
+        return ([event], []) if refutable else ([], [_opened(event, event.probability)])
+    if decision is Decision.SLOW:
+        return [_slow(event.onset_s, event.detected_s, event.rotors[0], found)], []
+    if decision is Decision.DROPPED:
+        view.warnings.append(_warning(event))
+        return [], []
+    return ([], [_opened(event, found.claim)]) if decision is Decision.OPEN else ([_named(event, found)], [])
 
 
 def _lands(view: View, event: Event) -> bool:
@@ -258,16 +238,15 @@ def _residual(claim: Event) -> bool:
 
 def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Event], list[Event]]:
     """(the event that an open claim turns out to be, the claim where it stays open)."""
-    found = weigh(view, claim, events, named=False) if claim.kind == EVIDENCE and not _residual(claim) else None
-    if found is None:
+    if claim.kind != EVIDENCE or _residual(claim):
         return [], [claim]
-    best = max((who for who in found.others if set(who) <= {r - 1 for r in claim.rotors}), key=lambda w: found.others[w], default=None)
-    share, rotor = 0.0 if best is None else found.others[best], int(np.argmax(found.slow))
-    if best is not None and share > SURE and found.ahead > (SCANNED if claim.source is SOURCE else CLAIMED):
-        return [_event(view, claim, best, found)], []
-    if found.slow[rotor] > SURE and found.ahead > SCANNED and rotor + 1 in claim.rotors:
-        return [_slow(claim.onset_s, claim.onset_s + AFTER_S, rotor + 1, found)], []
-    return [], [claim] if share > (1.0 - CERTAIN if claim.source.name == event_rows.TRIM.name else CREDIBLE) else []
+    found, decision = _weighed(view, claim, events, False)
+    who = None if found is None else found.likeliest(claim.rotors)
+    if found is not None and who is not None and decision is Decision.LOSS:
+        return [_event(view, claim, who, found)], []
+    if found is not None and decision is Decision.SLOW:
+        return [_slow(claim.onset_s, claim.onset_s + AFTER_S, int(np.argmax(found.slow)) + 1, found)], []
+    return [], [claim] if decision is Decision.OPEN else []
 
 
 def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
@@ -296,16 +275,15 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
 
 def _named(event: Event, found: Weighed) -> Event:
     """The event with the rotors that explain the motion nearly as well, and without an end that the motion denies."""
-    near = [tuple(i + 1 for i in sorted(who)) for who, p in found.others.items() if p > found.claim / CLEAR]
-    more = (s for s in near if s not in event.alternatives)
+    more = (who for who in found.near() if who not in event.alternatives)
     event = replace(event, alternatives=(*event.alternatives, *more), probability=min(event.probability, found.claim))
-    return replace(event, end_s=None) if found.lasts > np.log(SURE / (1.0 - SURE)) else event
+    return replace(event, end_s=None) if found.lasts > np.log(LIMITS.sure / (1.0 - LIMITS.sure)) else event
 
 
 def _event(view: View, claim: Event, who: tuple[int, ...], found: Weighed) -> Event:
     """A loss that an open claim has turned out to be."""
-    loss = np.clip(found.loss[who], 0.0, 1.0)
-    sd = event_rows.sd_of(loss, found.sd[who], view.B)
+    loss = np.clip(found.best[who].loss, 0.0, 1.0)
+    sd = event_rows.sd_of(loss, found.best[who].sd, view.B)
     interval = tuple((float(max(0.0, a - WITHIN_95 * b)), float(min(1.0, a + WITHIN_95 * b))) for a, b in zip(loss, sd))
     names = " and ".join(str(i + 1) for i in who)
     reason = (

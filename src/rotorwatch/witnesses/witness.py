@@ -7,7 +7,8 @@ A file of this folder, or of another package, that defines WITNESSES, a tuple of
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, NamedTuple
@@ -26,6 +27,7 @@ from rotorwatch.flight.vehicle import Vehicle
 
 GROUP = "rotorwatch.witnesses"
 Events = tuple[Event, ...]
+_left_out: set[str] = set()
 FALLS_S = 8.0  # before a loss of control: what the controller does then is no landing
 SPINS_S = 3.0  # after a loss, within which the spin begins that it causes
 
@@ -131,7 +133,18 @@ def adding(claims: Callable[[View], Iterable[Event]]) -> Callable[[View, Events]
 def registered() -> tuple[Witness, ...]:
     """All witnesses in the order in which they are asked: those of this folder, and of other packages by entry points of the group
     `rotorwatch.witnesses`, each a module with WITNESSES."""
-    return _registered(tuple(discovery.offered(GROUP)))
+    found = _registered(tuple(discovery.offered(GROUP)))
+    return tuple(w for w in found if w.name not in _left_out) if _left_out else found
+
+
+@contextmanager
+def without(name: str) -> Iterator[None]:
+    """Context in which a witness is not asked, to measure what it changes."""
+    _left_out.add(name)
+    try:
+        yield
+    finally:
+        _left_out.discard(name)
 
 
 @functools.cache

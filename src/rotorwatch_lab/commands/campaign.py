@@ -71,22 +71,28 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 @click.option("--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS.")
 @click.option("--only", default="", metavar="NAMES", help="Constants by prefix, such as model_error.,noise.CLIP.")
 @click.option("--variants", default="off,half,double", show_default=True, help="How the constants are changed.")
+@click.option("--witnesses", is_flag=True, help="Leave out every witness instead, in flights of PLAN judged by their logs.")
 @spread
 @resumable
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")
 @common
-def ablate(plan, logs, flights, hours, only, variants, jobs, scheduler, keep, as_json, quiet) -> None:
+def ablate(plan, logs, flights, hours, only, variants, witnesses, jobs, scheduler, keep, as_json, quiet) -> None:
     """Leave out, halve and double every constant of the default method over a fixed set: flights of PLAN, flights with several faults,
     losses injected into healthy LOGS, and surrogates of those. Prints the changes, with intervals (docs/ablation.md)."""
     import json
 
     from rotorwatch_lab import campaign as campaigns
-    from rotorwatch_lab.campaign import ablation
+    from rotorwatch_lab.campaign import ablation, witness_ablation
 
     flight_plan = campaigns.read(plan)
     names, words = ([part for part in text.split(",") if part] for text in (only, variants))
     if set(words) - set(ablation.WORDS) or not words:
         raise click.UsageError(f"--variants {variants}: give some of {', '.join(ablation.WORDS)}.")
+    if witnesses:
+        with progress(quiet) as report:
+            found = witness_ablation.run(flight_plan, flights, jobs, report, scheduler, keep)
+        click.echo(json.dumps(found, indent=1, allow_nan=False) if as_json else witness_ablation.markdown(found))
+        return
     with progress(quiet) as report:
         result = ablation.run(
             flight_plan, logs, flights, hours, only=names, words=words, jobs=jobs, progress=report, scheduler=scheduler, keep=keep

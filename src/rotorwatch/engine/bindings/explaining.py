@@ -16,6 +16,7 @@ from rotorwatch.engine.estimator.estimator_sizes import PLACES
 from rotorwatch.engine.motion.tick_table import GROUND, Ticks
 
 NEVER = 1 << 30  # a tick
+FORGOTTEN = 1e-17  # share of a command that a lag has left of it: below the resolution of a number
 
 
 class Explanation(NamedTuple):
@@ -24,7 +25,8 @@ class Explanation(NamedTuple):
     of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
-    by which it yaws the vehicle in a side force; force_s: s for which these last."""
+    by which it yaws the vehicle in a side force; force_s: s for which these last. load: share of the trim of roll and pitch that grows
+    with all thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -37,6 +39,7 @@ class Explanation(NamedTuple):
     force: float = 1.0
     drift: float = 0.0
     lever: float = 0.0
+    load: float = 0.0
     force_s: float = np.inf
 
 
@@ -66,11 +69,16 @@ class Span:
 
 
 def lagged(ticks: Ticks, B: np.ndarray, lag_s: float) -> Ticks:
-    """Ticks whose commands have passed a first-order lag of `lag_s` s."""
-    thrust = ticks.thrust.copy()
-    follows = 1.0 - np.exp(-ticks.dt / lag_s)
-    for k in range(1, len(thrust)):
-        thrust[k] = thrust[k - 1] + follows * (thrust[k] - thrust[k - 1])
+    """Ticks whose commands have passed a first-order lag of `lag_s` s: thrust_k = a thrust_k-1 + (1 - a) command_k, a = exp(-dt / lag).
+
+    With b the terms of the commands, the sums s_m of the last m of them double: s_2m(k) = s_m(k) + a^m s_m(k - m)."""
+    kept = float(np.exp(-ticks.dt / lag_s))
+    thrust = (1.0 - kept) * ticks.thrust
+    thrust[:1] = ticks.thrust[:1]
+    length = 1
+    while length < len(thrust) and kept > FORGOTTEN:
+        thrust[length:] += kept * thrust[:-length].copy()
+        kept, length = kept * kept, 2 * length
     return replace(ticks, thrust=thrust, wrench=thrust @ B.T)
 
 
@@ -105,7 +113,7 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
         rows = ENGINE.array(explanations.Explanation, len(group))
         columns = {
             name: np.array([getattr(e, name) for e in group])
-            for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever")
+            for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load")
         }
         rows.fill(
             rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),

@@ -42,6 +42,7 @@ class Explanation(Struct):
     force: Real = 1.0  # factor of the disturbances
     drift: Real = 0.0  # of the trim in roll and pitch by a centre of mass that moves, hover thrusts per sqrt(s)
     lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
+    load: Real = 0.0  # share of the trim of roll and pitch that grows with the thrust of all rotors, as that of a centre of mass does
     moved = array(REAL, 2)  # trim of roll and pitch at the onset
     calm: int = 0  # tick at which it ends
     fit: Real = 0.0  # log p
@@ -105,6 +106,8 @@ def explain(
                 e.measured.y[a] = wrench[a]
                 e.measured.counts[a] = counts[a]
             _lag(p, them[k], now, t >= onset, e.measured)
+            if t >= onset and them[k].load > 0.0:
+                _weigh(p, one, them[k], now, e.measured)
             if t >= onset and them[k].lever > 0.0:
                 _lever(one, them[k], now, e.measured)
             if them[k].turned > 0.0 and t >= begin:
@@ -186,6 +189,16 @@ def _yaws(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_sh
     for a in range(4):
         for i in range(p.rotors):
             h.h[a][THETA + i] = kept[a][i]
+
+
+def _weigh(p: Plant, one: Branch, how: Explanation, now: Inputs, m: Measured) -> None:
+    """Take off what the trim of roll and pitch gains with the thrust T of all rotors, T0 in hover: load b (T / T0 - 1)."""
+    more = -1.0
+    for i in range(p.rotors):
+        more += now.thrust[i] / p.rotors
+    for a in range(2):
+        if m.counts[a]:
+            m.y[a] -= how.load * one.s[a * PER_AXIS + B3] * more
 
 
 def _lever(one: Branch, how: Explanation, now: Inputs, m: Measured) -> None:

@@ -1,0 +1,220 @@
+"""The odds of an explanation: its prior log weight and its evidence, and what follows from them for a claim.
+
+With the evidence log p_e of explanation e (`engine.estimator.explanations`) and its log weight w_e
+
+    P(loss of these rotors) = sum of exp(w_e + b log p_e) over explanations with it / sum over all
+
+`rotorwatch fit-odds` fits the weights and the temper b to flights whose truth is known (docs/tuning.md). Where the rest is ten times
+likelier, the loss is no event. Where it is not ten times less likely, it is an open claim, and where another rotor is not, that rotor is an
+alternative. An open claim that is sure and exceeds all else by a margin becomes an event, and one that is not credible is dropped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rotorwatch.engine.bindings.explaining import Explanation, Fit
+from rotorwatch.engine.events.decisions import CLEAR
+
+# Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; added are
+# "beside" for two at once, and "claimed" where the rotors are those of a loss that was announced.
+WEIGHTS: dict[str, float] = {
+    "loss": 0.0, "lasting": 0.0, "growing": -0.6, "stuck": -2.3, "capped": -3.3, "two": -5.9, "slow": -2.6, "turned": -1.8,
+    "nothing": 5.8, "step": 0.2, "shift": 1.2, "move": 0.9, "wrench": 0.3, "beside": -0.9, "claimed": 1.2,
+}  # fmt: skip
+TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
+
+
+class Limits(NamedTuple):
+    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. sure: probability from which an open claim becomes
+    an event, a claim that grows or is ambiguous is dropped, and of all else from which an open claim is. scanned: nats by which an
+    explanation that nothing but the scan has pointed to must exceed all others: real motors differ in lag, and controllers follow their own
+    noise; healthy real flights reach 8."""
+
+    clear: float = CLEAR
+    sure: float = 0.95
+    scanned: float = 10.0
+
+
+LIMITS = Limits()
+SCAN = "rivals"  # origin of claims that only the scan has made
+
+
+class Rival(NamedTuple):
+    """An explanation. name: its first word is one of WEIGHTS; beside: name of what acts beside it."""
+
+    name: str
+    how: Explanation
+    beside: str = ""
+
+    @property
+    def weak(self) -> tuple[int, ...]:
+        """The rotors that may lose thrust, from 0."""
+        return () if self.how.late or self.how.turned or self.how.cap else self.how.rotors
+
+
+class Row(NamedTuple):
+    """A rival's result. rotors: that it names; weak: of these, those that lose thrust under it; both from 0. loss, sd: of the weak."""
+
+    name: str
+    beside: str
+    rotors: tuple[int, ...]
+    weak: tuple[int, ...]
+    log_p: float
+    loss: np.ndarray
+    sd: np.ndarray
+
+    @property
+    def group(self) -> str:
+        """The first word of its name."""
+        return self.name.partition(" ")[0]
+
+
+def row(rival: Rival, fit: Fit) -> Row:
+    """The row of a rival's fit."""
+    weak = tuple(sorted(i for i in rival.weak if fit.loss[i] > 0.0))
+    return Row(rival.name, rival.beside, rival.how.rotors, weak, fit.log_p, fit.loss[list(weak)], fit.sd[list(weak)])
+
+
+class Decision(Enum):
+    """What becomes of a claim: an event that is a loss, or a slow motor; an open claim; nothing."""
+
+    LOSS, SLOW, OPEN, DROPPED = "loss", "slow", "open", "dropped"
+
+
+class Weighed(NamedTuple):
+    """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
+    rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
+    lasts: log odds that the loss is not over. best: the likeliest row with a size of each other set, where there is
+    one."""
+
+    claim: float
+    none: float
+    others: dict[tuple[int, ...], float]
+    slow: np.ndarray
+    ahead: float
+    lasts: float
+    best: dict[tuple[int, ...], Row]
+
+    def likeliest(self, among: Sequence[int]) -> tuple[int, ...] | None:
+        """The likeliest other set of rotors, from 0, among these, from 1."""
+        found = (who for who in self.others if set(who) <= {r - 1 for r in among})
+        return max(found, key=lambda w: self.others[w], default=None)
+
+    def near(self, limits: Limits = LIMITS) -> list[tuple[int, ...]]:
+        """Sets of rotors, from 1, that explain the motion nearly as well as the claim."""
+        return [tuple(i + 1 for i in sorted(who)) for who, p in self.others.items() if p > self.claim / limits.clear]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A claim and its explanations. rotors: claimed, from 1. named: a loss of them is claimed, else of any one of them. origin: source of
+    the claim. grows: slowly. n: rotors of the vehicle. rows: of a named claim the first is its loss."""
+
+    onset_s: float
+    rotors: tuple[int, ...]
+    named: bool
+    alternatives: tuple[tuple[int, ...], ...]
+    origin: str
+    grows: bool
+    n: int
+    rows: tuple[Row, ...]
+
+    def logs(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> np.ndarray:
+        """Log weight and evidence of each row."""
+        w, b = WEIGHTS if weights is None else weights, TEMPER if temper is None else temper
+        return np.array([sum(w[name] for name in self.weights(r)) + b * r.log_p for r in self.rows])
+
+    def weights(self, one: Row) -> tuple[str, ...]:
+        """Names in WEIGHTS of what adds to the log weight of a row."""
+        return (one.group, *(("beside",) if one.beside else ()), *(("claimed",) if self.claims(one) else ()))
+
+    def weighed(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> Weighed:
+        """The probabilities."""
+        rows, logs = self.rows, self.logs(weights, temper)
+        share = np.exp(logs - logs.max())
+        share /= share.sum()
+        sums: dict[tuple[int, ...], float] = {}
+        best: dict[tuple[int, ...], Row] = {}
+        mine = np.array([self.claims(r) for r in rows])
+        for k in np.argsort(logs, kind="stable"):
+            if rows[k].weak and not mine[k]:
+                sums[rows[k].weak] = sums.get(rows[k].weak, 0.0) + float(share[k])
+                if rows[k].group != "stuck":  # its size is of its command's effect
+                    best[rows[k].weak] = rows[k]
+        none = np.array([not r.weak for r in rows]) & ~mine
+        slow = np.zeros(self.n)
+        for r, p in zip(rows, share):
+            if r.group == "slow":
+                slow[r.rotors[0]] += p
+        kinds = [(r.weak, r.rotors if r.group == "slow" else ()) for r in rows]
+        first = int(np.argmax(logs))
+        ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
+        lasting = [x for x, r in zip(logs, rows) if r.name == "lasting loss"]
+        lasts = float(lasting[0] - logs[0]) if lasting else 0.0
+        others = {who: sums[who] for who in sorted(sums)}
+        return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), lasts, best)
+
+    def claims(self, one: Row) -> bool:
+        """True for a row under which the claimed rotors are at fault."""
+        if not self.named:
+            return False
+        claim = tuple(r - 1 for r in self.rotors)
+        if one.group in ("slow", "capped") and one.rotors == claim:
+            return True
+        return any(set(who) <= set(one.weak) for who in (claim, *(tuple(r - 1 for r in a) for a in self.alternatives)))
+
+    def decided(self, found: Weighed, limits: Limits = LIMITS) -> Decision:
+        """What becomes of the claim."""
+        return self._confirmed(found, limits) if self.named else self._settled(found, limits)
+
+    def _confirmed(self, found: Weighed, limits: Limits) -> Decision:
+        if len(self.rotors) == 1 and found.slow[self.rotors[0] - 1] > limits.sure and found.ahead > limits.scanned:
+            return Decision.SLOW
+        clear = limits.clear / (1.0 + limits.clear)
+        if found.none > (limits.sure if self.grows or self.alternatives else clear):
+            return Decision.DROPPED
+        return Decision.OPEN if found.none > 1.0 - clear and not self.alternatives else Decision.LOSS
+
+    def _settled(self, found: Weighed, limits: Limits) -> Decision:
+        who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))
+        share = 0.0 if who is None else found.others[who]
+        if share > limits.sure and (found.ahead > limits.scanned or self.origin != SCAN):
+            return Decision.LOSS if who in found.best else Decision.OPEN
+        if found.slow[slow] > limits.sure and found.ahead > limits.scanned and slow + 1 in self.rotors:
+            return Decision.SLOW
+        return Decision.OPEN if share > 1.0 - limits.sure else Decision.DROPPED
+
+    def to_dict(self) -> dict[str, Any]:
+        """The documented JSON structure (docs/json.md)."""
+        nothing = next(r.log_p for r in self.rows if r.name == "nothing")
+        found = self.weighed()
+        return {
+            "onset_s": self.onset_s, "rotors": self.rotors, "named": self.named, "alternatives": self.alternatives, "origin": self.origin,
+            "grows": self.grows, "decision": self.decided(found).value, "probability": found.claim, "probability_none": found.none,
+            "explanations": [
+                {
+                    "name": r.name, "beside": r.beside, "rotors": [i + 1 for i in r.rotors], "weak": [i + 1 for i in r.weak],
+                    "nats": r.log_p - nothing,
+                }
+                for r in self.rows
+            ],
+        }  # fmt: skip
+
+
+def read(found: Mapping[str, Any], n: int) -> Comparison:
+    """The comparison from `to_dict`'s output, of n rotors, without losses."""
+    none = np.zeros(0)
+    rows = tuple(
+        Row(r["name"], r["beside"], tuple(i - 1 for i in r["rotors"]), tuple(i - 1 for i in r["weak"]), r["nats"], none, none)
+        for r in found["explanations"]
+    )
+    alternatives = tuple(tuple(a) for a in found["alternatives"])
+    return Comparison(
+        found["onset_s"], tuple(found["rotors"]), found["named"], alternatives, found["origin"], found["grows"], n, rows
+    )  # fmt: skip
