@@ -33,11 +33,16 @@ class Effects:
         return {"claims": self.claims, "as it is": self.base._asdict(), "variants": rows}
 
     def markdown(self) -> str:
-        """A table of the variants: change of each count."""
+        """A table of the variants that change an end: change of each count; and a sentence with the others."""
         heads = ("constant", "variant", *(name.replace("_", " ") for name in Counts._fields), "claims that end otherwise")
         rows = [["as it is", "", *self.base, self.claims]]
-        rows += [[f"`{c}`", v, *(f"{x - y:+d}" for x, y in zip(n, self.base)), k] for (c, v), (n, k) in self.found.items()]
-        return tools.table(heads, rows)
+        rows += [[f"`{c}`", v, *(f"{x - y:+d}" for x, y in zip(n, self.base)), k] for (c, v), (n, k) in self.found.items() if k]
+        quiet: dict[str, list[str]] = {}
+        for (c, v), (_, k) in self.found.items():
+            if not k:
+                quiet.setdefault(c, []).append(v)
+        names = ", ".join(f"`{c}` {' and '.join(v)}" for c, v in quiet.items())
+        return tools.table(heads, rows) + (f"\n\nWithout effect: {names}." if names else "")
 
 
 def run(data: Sequence[Labelled]) -> Effects:
