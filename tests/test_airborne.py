@@ -138,6 +138,19 @@ def test_a_hover_that_is_reached_slowly_is_a_flight(seconds):
     assert 18.0 < start < 20.0 + seconds + 2.0 and 45.0 < end < 50.5
 
 
+def test_a_spin_is_no_blow():
+    """An accelerometer 2 cm off the axis of a spin of 30 rad/s, whose centripetal force begins 2 s before the landing."""
+    flight = made_up([(10, 50)])
+    when = flight["gyro"].time
+    spin = ((when > 48.0) & (when < 49.9))[:, None]
+    gyro, accel = flight["gyro"], flight["accel"]
+    turning = gyro.with_arrays(when, gyro.values + 30.0 * spin * [0.0, 0.0, 1.0], gyro.valid)
+    off_axis = accel.with_arrays(when, accel.values + 18.0 * spin * [1.0, 0.0, 0.0], accel.valid)
+    ends = [airborne(replace(flight, signals={**flight.signals, "accel": off_axis, "gyro": g}))[-1][1] for g in (turning, gyro)]
+    assert ends[0] == pytest.approx(50.0, abs=0.3)
+    assert ends[1] == pytest.approx(48.0, abs=0.3)  # the same force without a turn is one
+
+
 @pytest.mark.parametrize("hover", [0.1, 0.2])
 def test_rotors_that_turn_faster_on_the_ground_are_no_flight(hover):
     """Run up twice without a climb; the velocity drifts by less than the least climb. The autopilot may believe that it is in the air."""

@@ -308,9 +308,8 @@ class Airborne(Struct):
         if lifted or self._climbs_away() or self._hovers_low(time, now):
             self.flying = True
             self.since = time
-            # The idle command follows a slow rise, the smallest one does not.
-            self.floor = min(ground, self.rest) if lifted else self.rest
-            self.hover = max(now.command, self.floor + _HIGH_RISE) if lifted else now.command
+            self.floor = ground if lifted else self.rest
+            self.hover = max(now.command, ground + _HIGH_RISE) if lifted else now.command
             self.idle = self.floor
             self.idle_known = True
             self.low_since = LASTS
