@@ -4,6 +4,7 @@ tools.py            shares and rates with intervals, tables, parts done in proce
 counting.py         what is found, right, late, and a false alarm: one definition
 limits.py           the best that any method could do
 inject.py           losses put into healthy flights
+imbalance.py        unbalances put into flights, and simulated ones
 studies/            comparisons, false alarms, and the experiments of the papers
 research_tables.py  their results in the terminal
 """
