@@ -34,9 +34,10 @@ def outcome(found, drawn: imbalance.Drawn) -> str:
     """right, wrong, several (the right one among two), missed or not heard; of a healthy flight false or none."""
     if found is None:
         return "not heard"
-    named = [f.rotors for f in judge.findings(found)]
+    made = judge.findings(found)
+    named = [f.rotors for f in made]
     if not drawn.rotor:
-        return "false" if named else "none"
+        return f"false, against {made[0].against}" if named else "none"
     if any(drawn.rotor not in rotors for rotors in named):
         return "wrong"
     return "missed" if not named else "right" if len(named[0]) == 1 else "several"

@@ -64,7 +64,9 @@ def test_the_fault_topic_and_ground_truth_are_never_decoded(monkeypatch):
     monkeypatch.setattr(pyulog, "ULog", spy)
     flight = logs.read(FLIGHTS / "px4-rflymad" / "TestCase_4_1000000003.ulg.xz")
     names = [n for o in asked for n in o.get("message_name_filter_list", [])]
-    assert set(names) == {*px4_topics.TOPICS, px4_reports.EVENTS} and all(o.get("parse_header_only") or names for o in asked)
+    assert set(names) == {*px4_topics.TOPICS, *px4_topics.RAW, px4_reports.EVENTS} and all(
+        o.get("parse_header_only") or names for o in asked
+    )
     assert "rfly_ctrl_lxl" not in names and not [n for n in names if "groundtruth" in n]
     assert flight.vehicle_type == "quadrotor" and flight.parameter_changes[0][1] == "COM_RCL_EXCEPT"
 

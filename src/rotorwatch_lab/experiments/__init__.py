@@ -8,6 +8,7 @@ labels.py           lists of flights whose faults are known
 evaluate.py         the diagnosis on them, scored
 evaluation_page.py  its answer as a page
 real_flights/       labels and tables of real flights in public repositories
+imbalance.py        unbalances put into flights, and simulated ones
 studies/            comparisons, false alarms, and the experiments of the papers
 research_tables.py  their results in the terminal
 """

@@ -2,7 +2,7 @@
 
 Others. What balancing leaves of an unbalance is a vector in the propeller's plane; with two independent normal components its square is
 exponential, and of n rotors of one make the square of one over the mean square of the others is F(2, 2 (n - 1)), whose tail is
-P(F > f) = (1 + f / (n - 1))^-(n - 1). A rotor is out of balance where that is rarer than FALSE shared by the n rotors, and where it shakes
+P(F > f) = (1 + f / (n - 1))^-(n - 1). A rotor is out of balance where that is rarer than UNLIKE shared by the n rotors, and where it shakes
 the vehicle by more than SHAKES.
 
 Earlier flights. The logarithm of a rotor's figure scatters from flight to flight by about SCATTER (one quadrotor, 23 flights: 11 to 19 %);
@@ -28,11 +28,13 @@ from rotorwatch.base.arrays import median
 from rotorwatch.stats.tails import student_cdf
 from rotorwatch.witnesses.balance.figures import MICRO, Figure, Heard, history, independence, mean
 
-FALSE = 0.01  # findings in healthy flights: of notices that ask for a look at a propeller
+FALSE = 0.01  # of healthy flights have a finding against earlier ones: a notice that asks for a look at a propeller
+UNLIKE = 0.001  # of healthy vehicles have one against their others, in every flight
 SHAKES = 4.9  # m/s^2, mean over time: below it PX4's Flight Review calls vibration low (green)
 SCATTER, WORTH = 0.15, 4.0
 STANDS = 1.5
 STEP_SD = 5.0
+SIDEBANDS = 0.25  # of what another rotor got at the same time: less may be the sidebands of a tone whose speed is not known well enough
 MOST_BLOCKS = 400  # of windows, for the search of a step
 SIDE = 8  # blocks on each side of a step
 STEADY = 1e-3  # standard deviation of the logarithm of the speed, below which a dependence on it is not fitted
@@ -76,7 +78,7 @@ def _against_others(found: Heard, figure: Figure, others: Sequence[float]) -> Fi
     rms = float(np.sqrt(np.mean(np.square(others))))
     least = figure.low / max(rms, figure.noise, 1e-9)
     p = (1.0 + least**2 / size) ** -size
-    if p >= FALSE / (size + 1) or figure.value / MICRO * figure.speed**2 < SHAKES:
+    if p >= UNLIKE / (size + 1) or figure.value / MICRO * figure.speed**2 < SHAKES:
         return None
     return Finding(figure.together, figure, figure.value / max(rms, 1e-9), "others", probability=1.0 - p)
 
@@ -111,10 +113,16 @@ def _steps(found: Heard) -> dict[int, Finding]:
             continue
         rise, after = own
         common = max(float(median(np.array(rest))), 0.0) if rest else 0.0
-        if rise - common < np.log(STANDS):
+        most = max((_gained(r) for r in rises.values() if r is not None), default=0.0)
+        if rise - common < np.log(STANDS) or _gained(own) < SIDEBANDS * most:
             continue
         made[k] = Finding(figure.together, after, float(np.exp(rise)), "before", onset, certain)
     return made
+
+
+def _gained(rise: tuple[float, Figure]) -> float:
+    """Amplitude that a rotor got, of (logarithm of its rise, figure after it)."""
+    return rise[1].value * float(np.sqrt(max(1.0 - np.exp(-2.0 * rise[0]), 0.0)))
 
 
 def _step(found: Heard, k: int) -> tuple[float, float] | None:
