@@ -109,6 +109,17 @@ those of [`rotorwatch evaluate`](evaluate.md). No flight is left out for its ans
 
 ## Sources
 """
+CAUSES = """
+## What goes wrong, and why
+
+- Cuts up to 20 mm of the quadrotor's propellers change the balance of commands no more than healthy vehicles differ: alone they are
+  `healthy` within a bound. Those of 25 mm are `ambiguous`, rotor 1 first.
+- OpenHA: both losses are found, and the end of the second. The end of the first one is taken for a torque from outside (odds of 25 to 1
+  over a recovery; without an accelerometer nothing measures the thrust), so rotor 1 stays accused to the end of the log, for 85 s.
+- The rotors switched off: 10 Hz of commands, and seconds of flight before it; where a healthy rotor is accused, two more were switched off.
+- A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty.
+- Telemetry of outputs every half second (adaptive-IGE-ardupilot), and FPV flights without a calm second, end as `inconclusive`.
+"""
 RULES = """
 PX4's rules need currents from the ESCs, ArduPilot's throttle, velocity and attitude, Flight Review's the outputs: where a log lacks them a
 rule finds nothing. They are rewritten from their descriptions (`rotorwatch/detectors`, `rotorwatch_lab/experiments/real_flights/rules.py`)
@@ -135,7 +146,7 @@ def page(sources: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]
     parts = [
         INTRODUCTION, tools.table(heads, about), "\n## Faults\n", _faults(there, [r for r in rows if r["rotor"]]), "\n## Healthy flights\n",
         _healthy(there, [r for r in rows if not r["rotor"]]), rates, _alarms(rows), "\n## Other rules on the same flights\n", _rules(rows),
-        RULES, _refused(rows),
+        RULES, _refused(rows), CAUSES,
     ]  # fmt: skip
     return "\n".join(parts).rstrip() + "\n"
 
