@@ -58,6 +58,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
     "engine/bindings/explaining.py": ("rivals",),
+    "witnesses/odds.py": ("odds", "rivals"),
     "engine/estimator/explanations.py": ("rivals",),
     "engine/motion/ground_contact.py": ("rivals", "near_ground"),
     "logs/__init__.py": ("logs_open",),
