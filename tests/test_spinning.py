@@ -98,7 +98,7 @@ def test_a_loss_that_ends_is_said_to_be_over():
     diagnosis = answer(OVER)
     ends = {e.rotors: e.end_s for e in diagnosis.events if e.kind == LOSS}
     assert set(ends) == {(1,), (2,)}
-    assert all(BEGINS_S + 10.0 < end < BEGINS_S + 12.0 for end in ends.values())
+    assert all(end is not None and BEGINS_S + 10.0 < end < BEGINS_S + 12.0 for end in ends.values())
 
 
 def test_rotors_that_carried_no_part_before_are_not_named():

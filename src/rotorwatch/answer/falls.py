@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.spinning import FliesOn, Off
 
 SPIN = Source("spin")  # of losses found in a vehicle that spins and flies on
-OFF = 0.8  # a rotor that the motion shows to be off has lost at least this much
+OFF = 0.4  # the motion shows a rotor on or off: one that lost half of its thrust is nearer to off, one that lost 30 % to on
 TOUCHED_S = 1.0  # from a blow in flight to the loss of control that it causes
 # Time before control is lost within which the autopilot's reports compete as the cause; a low battery stays low.
 REPORTED_S, LOW_S = 30.0, 300.0
