@@ -60,13 +60,13 @@ def _own(signal: Signal, angle: np.ndarray, one: int) -> np.ndarray:
         rows = slice(start, start + count)
         x = np.linspace(-1.0, 1.0, count)
         tones = np.exp(1j * angle[rows])
-        columns = np.column_stack([x[:, None] ** np.arange(5), tones.real, tones.imag])
+        columns = np.column_stack([x[:, None] ** np.arange(5), np.real(tones), np.imag(tones)])
         fitted = np.linalg.lstsq(columns, signal.values[rows], rcond=None)[0][5:]
         middles.append(time[start + count // 2])
         found.append(fitted[one] - 1j * fitted[angle.shape[1] + one])
     amplitude = np.array(found)
     smooth = np.stack([np.interp(time, middles, a.real) + 1j * np.interp(time, middles, a.imag) for a in amplitude.T], axis=1)
-    return (smooth * np.exp(1j * angle[:, [one]])).real
+    return np.real(smooth * np.exp(1j * angle[:, [one]]))
 
 
 class Drawn(NamedTuple):
