@@ -65,7 +65,7 @@ def _own(signal: Signal, angle: np.ndarray, one: int) -> np.ndarray:
         middles.append(time[start + count // 2])
         found.append(fitted[one] - 1j * fitted[angle.shape[1] + one])
     amplitude = np.array(found)
-    smooth = np.stack([np.interp(time, middles, a.real) + 1j * np.interp(time, middles, a.imag) for a in amplitude.T], axis=1)
+    smooth = np.stack([np.interp(time, middles, np.real(a)) + 1j * np.interp(time, middles, np.imag(a)) for a in amplitude.T], axis=1)
     return np.real(smooth * np.exp(1j * angle[:, [one]]))
 
 
