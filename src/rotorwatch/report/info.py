@@ -56,7 +56,7 @@ _BLACKBOX = {
     "attitude": "Betaflight from 2025.12 on and INAV log it where an accelerometer is on (blackbox_disable_attitude = OFF).",
     "battery": "Set vbat as the battery's voltage meter and log it (blackbox_disable_bat = OFF).",
     "control": "Betaflight from 4.0 on logs it, with setpoint[3]: set blackbox_disable_pids and blackbox_disable_setpoint = OFF.",
-    "esc": "Betaflight from 4.3 on logs it (eRPM) with bidirectional DShot: set dshot_bidir = ON and motor_poles. INAV: ESC telemetry.",
+    "esc": "Betaflight from 4.5 on logs it (eRPM) with bidirectional DShot: set dshot_bidir = ON and motor_poles. INAV: ESC telemetry.",
 }
 _TELEMETRY = "Telemetry may not carry it; use the log that the autopilot wrote itself (.bin or .ulg)."
 _BAG = "Record its topic, and have the autopilot send it (docs/foxglove.md), or use the log that the autopilot wrote itself."
