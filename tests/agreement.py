@@ -574,6 +574,13 @@ FIELDS = {
     "events[].impact_s": HIDDEN,
     "events[].how": word("how control was lost"),
     "events[].evidence": every("what speaks for a cause"),
+    "compared": HIDDEN,
+    **{
+        f"compared[].{name}": HIDDEN
+        for name in ("onset_s", "rotors", "rotors[]", "named", "alternatives", "alternatives[]", "origin", "grows")
+    },
+    **{f"compared[].{name}": HIDDEN for name in ("decision", "probability", "probability_none", "explanations")},
+    **{f"compared[].explanations[].{name}": HIDDEN for name in ("name", "beside", "rotors", "rotors[]", "weak", "weak[]", "nats")},
     "common_mode": HIDDEN,
     "common_mode.thrust_shift": SHOWN,
     "common_mode.interval": HIDDEN,

@@ -59,6 +59,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/container.py": ("logs_open",),
     "engine/bindings/explaining.py": ("rivals",),
     "witnesses/odds.py": ("odds", "rivals"),
+    "logs/raw_sensors.py": ("balance",),
     "engine/estimator/explanations.py": ("rivals",),
     "engine/motion/ground_contact.py": ("rivals", "near_ground"),
     "logs/__init__.py": ("logs_open",),

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch import airframes, diagnose, logs
+from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, READY_S
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.experiments.studies import false_alarms as study
@@ -77,7 +77,7 @@ def test_surrogates_are_flights(origin):
     np.testing.assert_allclose(table.wrench, table.thrust @ B.T, atol=1e-12)
     assert table.thrust.min() >= 0.0 and table.thrust.mean() == pytest.approx(1.0, abs=0.2)
     assert table.restart.sum() == 1 and table.restart[0]
-    assert table.mode[0] == LEARN and table.time[table.mode == JUDGE][0] == pytest.approx(diagnose.READY_S - 1.0)
+    assert table.mode[0] == LEARN and table.time[table.mode == JUDGE][0] == pytest.approx(READY_S - 1.0)
     assert table.dt == origin.table.dt and len(table.time) % study.CHUNK == 0
     other = study.surrogate(origin, np.random.default_rng(6))
     assert abs(np.corrcoef(table.wrench[:, 0], other.wrench[:, 0])[0, 1]) < 0.5

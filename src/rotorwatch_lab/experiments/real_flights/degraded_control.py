@@ -24,7 +24,7 @@ ORDER = (0, 2, 3, 1)  # of the demands, as PX4 counts rotors
 def flights(checkout: Path, out: Path) -> Iterator[dict[str, Any]]:
     """Converts the flights of a checkout with a demand; yields rows for `evaluate` of those whose truth is logged."""
     vehicle = out / "vehicle.toml"
-    tables.quad_x(vehicle, "rflybuaa-h250", expo=0.0, u_min=0.0, u_max=1.0)
+    tables.quad_x(vehicle, "h250", expo=0.0, u_min=0.0, u_max=1.0)
     folder = checkout / "ExperimentalData" / "Unknown"
     for source in sorted(folder.rglob("*.ulg")):
         target = out / ("_".join(source.relative_to(folder).parts).removesuffix(".ulg") + ".csv")
