@@ -18,7 +18,7 @@ import numpy as np
 
 import rotorwatch
 from rotorwatch.engine.motion.air_spans import airborne
-from rotorwatch.witnesses.balance import figures, judge
+from rotorwatch.witnesses.balance import imbalances, unbalanced
 from rotorwatch_lab.experiments import imbalance
 
 DURATION_S, RATE_HZ = 60.0, 500.0
@@ -34,7 +34,7 @@ def outcome(found, drawn: imbalance.Drawn) -> str:
     """right, wrong, several (the right one among two), missed or not heard; of a healthy flight false or none."""
     if found is None:
         return "not heard"
-    made = judge.findings(found)
+    made = unbalanced.findings(found)
     named = [f.rotors for f in made]
     if not drawn.rotor:
         return f"false, against {made[0].against}" if named else "none"
@@ -51,22 +51,22 @@ def one(task: tuple[int, int, str]) -> str:
         usual = np.exp(np.random.default_rng([seed, rotors]).uniform(np.log(500.0), np.log(2000.0)))  # as `simulated` draws it
         more["adds"] = chip * CHIP * TIP_M_S / usual / 1e-6
     drawn = imbalance.simulated(seed, rotors, DURATION_S, RATE_HZ, **more)
-    return outcome(figures.listen(drawn.flight, rotors, ((0.0, DURATION_S),)), drawn)
+    return outcome(imbalances.listen(drawn.flight, rotors, ((0.0, DURATION_S),)), drawn)
 
 
 def real(path: str) -> list[str]:
     flight = rotorwatch.read(path)
     air = airborne(flight)
     n = flight.rotor_count
-    found = figures.listen(flight, n, air)
+    found = imbalances.listen(flight, n, air)
     if found is None or any(f is None or len(f.together) > 1 for f in found.figures):
         return ["not heard"]
     middle = 0.5 * (air[-1][0] + air[-1][1])
-    results = ["false" if judge.findings(found) else "none"]
+    results = ["false" if unbalanced.findings(found) else "none"]
     for rotor, figure in enumerate(found.figures, 1):
         assert figure is not None
         more = imbalance.inject(flight, rotor, 0.0, middle, times=2.0)
-        results.append(outcome(figures.listen(more, n, air), imbalance.Drawn(more, rotor, middle, np.zeros(n))))
+        results.append(outcome(imbalances.listen(more, n, air), imbalance.Drawn(more, rotor, middle, np.zeros(n))))
     return results
 
 

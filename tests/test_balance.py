@@ -15,7 +15,7 @@ from rotorwatch.logs import dataflash_raw, raw_sensors
 from rotorwatch.logs.dataflash_binary import Table
 from rotorwatch.report import figures as report_figures
 from rotorwatch.report.info import info
-from rotorwatch.witnesses.balance import figures, hearing, judge, orders
+from rotorwatch.witnesses.balance import hearing, imbalances, orders, unbalanced
 from rotorwatch_lab.experiments import imbalance
 from rotorwatch_lab.simulation import scenario, simulate, vibration
 from rotorwatch_lab.simulation.write_dataflash import write_dataflash
@@ -54,7 +54,7 @@ def flown(
 
 
 def heard(flight, rotors=4):
-    found = figures.listen(flight, rotors, ((0.0, flight.duration),))
+    found = imbalances.listen(flight, rotors, ((0.0, flight.duration),))
     assert found is not None
     return found
 
@@ -86,7 +86,7 @@ def test_intervals_hold_the_truth_in_nineteen_of_twenty():
 def test_without_an_unbalance_nothing_is_heard():
     found = heard(flown(np.zeros(4)))
     assert values(found).max() < 0.1
-    assert not judge.findings(found)
+    assert not unbalanced.findings(found)
 
 
 def test_blades_that_pass_are_told_from_an_unbalance():
@@ -135,7 +135,7 @@ def test_a_change_of_rotors_at_one_speed_names_them_all():
         return wandering(t)[:, [0, 1, 0, 3]] + [0.0, 0.0, 0.5, 0.0]
 
     time = np.arange(0.0, 30.0, 1.0 / 504.0)
-    (found,) = judge.findings(heard(flown(changing(time), duration=30.0, speed=alike)))
+    (found,) = unbalanced.findings(heard(flown(changing(time), duration=30.0, speed=alike)))
     assert found.rotors == (1, 3) and found.onset == pytest.approx(14.0, abs=1.5)
 
 
@@ -148,7 +148,7 @@ def test_a_rotor_that_becomes_out_of_balance_is_named_with_its_onset(rotor):
 
     duration, rate = 30.0, 504.0
     time = np.arange(0.0, duration, 1.0 / rate)
-    (found,) = judge.findings(heard(flown(changing(time), duration=duration, noise=2.0)))
+    (found,) = unbalanced.findings(heard(flown(changing(time), duration=duration, noise=2.0)))
     assert found.rotors == (rotor + 1,)
     assert found.onset == pytest.approx(14.0, abs=1.0)
     assert found.onset < found.certain < 20.0
@@ -159,7 +159,7 @@ def test_what_all_rotors_share_is_no_rotor():
     duration, rate = 30.0, 504.0
     time = np.arange(0.0, duration, 1.0 / rate)
     u = np.array([0.8, 0.5, 1.2, 0.4]) * np.where(time > 14.0, 2.0, 1.0)[:, None]
-    assert not judge.findings(heard(flown(u, duration=duration)))
+    assert not unbalanced.findings(heard(flown(u, duration=duration)))
 
 
 def test_a_resonance_that_follows_the_speed_is_no_change():
@@ -167,15 +167,15 @@ def test_a_resonance_that_follows_the_speed_is_no_change():
     found = heard(
         flown([0.8, 0.5, 1.2, 0.4], duration=30.0, frame=frame, speed=lambda t: wandering(t) + np.where(t > 15.0, 150.0, 0.0)[:, None])
     )
-    assert not judge.findings(found)
+    assert not unbalanced.findings(found)
 
 
 def test_a_rotor_far_above_the_others_is_out_of_balance():
-    (found,) = judge.findings(heard(flown([0.4, 0.5, 4.0, 0.3])))
+    (found,) = unbalanced.findings(heard(flown([0.4, 0.5, 4.0, 0.3])))
     assert (found.rotors, found.against, found.onset) == ((3,), "others", None)
     assert found.times > 5.0
-    assert not judge.findings(heard(flown([0.04, 0.05, 0.4, 0.03], noise=0.3)))  # it shakes nothing
-    assert not judge.findings(heard(flown([0.9, 0.5, 1.5, 0.5])))
+    assert not unbalanced.findings(heard(flown([0.04, 0.05, 0.4, 0.03], noise=0.3)))  # it shakes nothing
+    assert not unbalanced.findings(heard(flown([0.9, 0.5, 1.5, 0.5])))
 
 
 def earlier(*rows, unit="g mm/kg"):
@@ -184,12 +184,12 @@ def earlier(*rows, unit="g mm/kg"):
 
 def test_earlier_flights_of_the_vehicle_are_a_sharper_measure():
     past = earlier(*([1.0, 0.5, 1.2, 0.6] * np.exp(np.random.default_rng(5).normal(0.0, 0.1, (8, 4)))))
-    (found,) = judge.findings(heard(flown([1.0, 0.5, 2.4, 0.6])), past)
+    (found,) = unbalanced.findings(heard(flown([1.0, 0.5, 2.4, 0.6])), past)
     assert (found.rotors, found.against) == ((3,), "flights")
     assert found.times == pytest.approx(2.0, rel=0.15)
-    assert not judge.findings(heard(flown([1.0, 0.5, 1.4, 0.6])), past)
-    assert not judge.findings(heard(flown([1.0, 0.5, 2.4, 0.6])), earlier([1.0, 0.5, 1.2, 0.6], unit="urad"))  # another sensor
-    assert not judge.findings(heard(flown([1.0, 1.0, 1.2, 0.6])), past)  # the best balanced one is now like the others
+    assert not unbalanced.findings(heard(flown([1.0, 0.5, 1.4, 0.6])), past)
+    assert not unbalanced.findings(heard(flown([1.0, 0.5, 2.4, 0.6])), earlier([1.0, 0.5, 1.2, 0.6], unit="urad"))  # another sensor
+    assert not unbalanced.findings(heard(flown([1.0, 1.0, 1.2, 0.6])), past)  # the best balanced one is now like the others
 
 
 def test_what_a_filter_took_off_is_put_back():
@@ -235,7 +235,7 @@ def test_a_log_that_cannot_hear_says_why_and_which_setting_would(change, words):
     silent = replace(flight, signals=change(flight.signals))
     why = hearing.deaf(silent, 4)
     assert words in why.why and why.setting.endswith(".")
-    assert figures.listen(silent, 4, ((0.0, 24.0),)) is None
+    assert imbalances.listen(silent, 4, ((0.0, 24.0),)) is None
 
 
 def with_speeds(flight, change):
@@ -249,7 +249,7 @@ def test_a_wrong_number_of_poles_is_said():
     flight = replace(flown([1.0, 0.5, 1.6, 0.2]), parameters={"motor_poles": 14.0})
     assert not heard(flight).doubts
     wrong = heard(with_speeds(flight, lambda t, w: w * 12.0 / 14.0))  # the motors have 12
-    assert not any(wrong.figures) and not judge.findings(wrong)
+    assert not any(wrong.figures) and not unbalanced.findings(wrong)
     assert "12 poles, not 14" in wrong.doubts[0]
 
 
@@ -274,8 +274,8 @@ def test_speeds_of_other_rotors_are_not_believed():
 )
 def test_speeds_that_are_wrong_make_no_finding(change):
     flight = flown([1.0, 0.5, 1.6, 0.4], duration=30.0)
-    found = figures.listen(with_speeds(flight, change), 4, ((0.0, 30.0),))
-    assert found is None or not judge.findings(found)
+    found = imbalances.listen(with_speeds(flight, change), 4, ((0.0, 30.0),))
+    assert found is None or not unbalanced.findings(found)
 
 
 def test_gaps_and_jitter_make_no_finding():
@@ -283,13 +283,13 @@ def test_gaps_and_jitter_make_no_finding():
     sensor, rng = flight["raw_accel"], np.random.default_rng(2)
     for size in (1e-4, 3e-4, 1e-3, 3e-3):
         shaken = replace(sensor, time=np.sort(sensor.time + rng.normal(0.0, size, len(sensor))))
-        found = figures.listen(replace(flight, signals={**flight.signals, "raw_accel": shaken}), 4, ((0.0, 30.0),))
-        assert found is None or not judge.findings(found)
+        found = imbalances.listen(replace(flight, signals={**flight.signals, "raw_accel": shaken}), 4, ((0.0, 30.0),))
+        assert found is None or not unbalanced.findings(found)
     kept = rng.random(len(sensor)) > 0.02
     gone = sensor.with_arrays(sensor.time[kept], sensor.values[kept], sensor.valid[kept])
     found = heard(replace(flight, signals={**flight.signals, "raw_accel": gone}))
     assert values(found) == pytest.approx([1.0, 0.5, 1.6, 0.4], abs=0.1)
-    assert not judge.findings(found)
+    assert not unbalanced.findings(found)
 
 
 def test_windows_are_whole_and_spread_over_the_flight():
@@ -493,7 +493,7 @@ def test_an_unbalance_put_into_a_flight_is_found_there_alone():
     flight = flown([1.0, 0.5, 1.2, 0.6], duration=30.0)
     for rotor, own in enumerate((1.0, 0.5, 1.2, 0.6), 1):
         more = imbalance.inject(flight, rotor, np.sqrt(3.0) * own, 15.0, phase=np.pi / 2)
-        assert [f.rotors for f in judge.findings(heard(more))] == [(rotor,)]
+        assert [f.rotors for f in unbalanced.findings(heard(more))] == [(rotor,)]
     for wrong in (
         {"rotor": 7}, {"onset": 99.0}, {"sensor": "accel"},
     ):  # fmt: skip
@@ -503,6 +503,6 @@ def test_an_unbalance_put_into_a_flight_is_found_there_alone():
 
 def test_drawn_flights_have_the_imbalance_that_they_say():
     drawn = imbalance.simulated(5, 4, 40.0)
-    assert drawn.rotor == 0 and not judge.findings(heard(drawn.flight))
+    assert drawn.rotor == 0 and not unbalanced.findings(heard(drawn.flight))
     doubled = imbalance.simulated(4, 4, 60.0, times=3.0)
-    assert [f.rotors for f in judge.findings(heard(doubled.flight))] == [(doubled.rotor,)]
+    assert [f.rotors for f in unbalanced.findings(heard(doubled.flight))] == [(doubled.rotor,)]

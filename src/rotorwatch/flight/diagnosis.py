@@ -224,7 +224,7 @@ class Diagnosis:
     loss of control, four sentences in order of time, or empty. picture: attitude and commands around it (docs/json.md), or None. aircraft:
     its identity, such as a serial number; empty where the log has none; not in the JSON. own: of a published method, its own series over
     the flight (`own_estimate` of the JSON). compared: claims of losses and what else explains the motion (docs/json.md). balance: what a
-    sensor hears of the rotors (witnesses/balance/figures.py), for the report, not in the JSON."""
+    sensor hears of the rotors (witnesses/balance/imbalances.py), for the report, not in the JSON."""
 
     flight: Mapping[str, Any]
     verdict: str

@@ -1,9 +1,9 @@
 """Rotors that are out of balance, by the vibration once per turn of each, in logs that hold rotor speeds and an unfiltered sensor.
 
-hearing.py   which sensor hears, and which setting is missing where none does
-orders.py    the orders of each rotor in windows: least squares at its angle
-figures.py   one figure for each rotor, with its interval
-judge.py     against the other rotors, earlier flights, and the flight before
+hearing.py     which sensor hears, and which setting is missing where none does
+orders.py      the orders of each rotor in windows: least squares at its angle
+imbalances.py  one figure for each rotor, with its interval
+unbalanced.py  against the other rotors, earlier flights, and the flight before
 
 A propeller that lost a piece of a blade is out of balance long before its thrust shows it. Alone that is a notice, never a loss of thrust.
 """
@@ -42,15 +42,15 @@ def _claims(view: View) -> Iterator[Event]:
     if not air or hearing.deaf(view.flight, n) is not None:
         return
     from rotorwatch.answer.wording import rotors
-    from rotorwatch.witnesses.balance import figures, judge
+    from rotorwatch.witnesses.balance import imbalances, unbalanced
 
-    found = figures.listen(view.flight, n, air)
+    found = imbalances.listen(view.flight, n, air)
     if found is None:
         return
     view.facts["imbalance"] = found
     view.warnings += found.doubts
-    for one in judge.findings(found, (view.vehicle.identified or {}).get("imbalance", ())):
-        reason, extra = judge.described(one, found.channel.unit, rotors(one.rotors))
+    for one in unbalanced.findings(found, (view.vehicle.identified or {}).get("imbalance", ())):
+        reason, extra = unbalanced.described(one, found.channel.unit, rotors(one.rotors))
         named, others = one.rotors[:1], tuple((r,) for r in one.rotors[1:])
         began = one.onset is not None
         onset = air[0][0] if one.onset is None else one.onset

@@ -43,10 +43,10 @@ def _identified(kept: Sequence[Candidate]) -> dict:
         share = np.average([t.share for t in usable], axis=0, weights=[t.seconds for t in usable])
         identified["hover"] = float(share.mean())
         identified["thrust_offset"] = [float(v) for v in share / share.mean() - 1.0]
-    from rotorwatch.witnesses.balance import figures  # what few logs need
+    from rotorwatch.witnesses.balance import imbalances  # what few logs need
 
-    heard = [(each.name, figures.listen(each.flight, len(each.vehicle.rotors), each.air)) for each in kept]
-    if rows := [figures.stored(name, found) for name, found in heard if found is not None]:
+    heard = [(each.name, imbalances.listen(each.flight, len(each.vehicle.rotors), each.air)) for each in kept]
+    if rows := [imbalances.stored(name, found) for name, found in heard if found is not None]:
         identified["imbalance"] = rows
     identified["whole_flight"] = [t.to_dict() for t in tables]
     return identified

@@ -26,7 +26,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.stats.tails import student_cdf
-from rotorwatch.witnesses.balance.figures import MICRO, Figure, Heard, history, independence, mean
+from rotorwatch.witnesses.balance.imbalances import MICRO, Figure, Heard, history, independence, mean
 
 FALSE = 0.01  # of healthy flights have a finding against earlier ones: a notice that asks for a look at a propeller
 UNLIKE = 0.0002  # of healthy vehicles have one against their others, in every flight; with 0.001 two of 700 whose frames scatter had one
