@@ -87,7 +87,7 @@ def read() -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = list(csv.DictReader(file))
     for row in rows:
         row |= {key: float(row[key]) if row[key] else None for key in NUMBERS}
-        row |= {"found": row["found"] == "True", "holds": {"True": True, "False": False}.get(row["holds"])}
+        row |= {key: {"True": True, "False": False}.get(row[key]) for key in ("found", "holds")}
         row |= {"false_alarms": int(row["false_alarms"] or 0), "healthy_s": row["healthy_s"] or 0.0}
     return rows
 
