@@ -293,10 +293,10 @@ class Case:
         doubts, warnings = self._doubts(merged, portion(tell, 0.1, 0.6))
         until = np.inf if self.over and doubts else self.consistency.until
         if view is None:
-            found = self._in_flight.reconsidered(found, self.now, self.air, self._view)
+            found, opened = self._in_flight.reconsidered(found, self.now, self.air, self._view)
             found, evidence = self._evidence(merged, found, view)
             found = _of(hop, ledger.believed(found, until))
-            return Claims(found, _in(hop, ledger.open_claims(evidence, found)), doubts)
+            return Claims(found, _in(hop, ledger.open_claims((*opened, *evidence), found)), doubts)
         view.consistent, view.events, before = not doubts, found, found
         view.warnings += warnings
         found, evidence = self._evidence(merged, found, view)

@@ -28,9 +28,11 @@ class InFlight:
     def __init__(self):
         self._known: tuple = (0,)  # when they were asked last: number of flights that have ended, and each loss with its looks
         self._ruled: dict[Key, Event | None] = {}
+        self._open: Events = ()
 
-    def reconsidered(self, found: Events, now: float, air: Spans, view: Callable[[], View]) -> Events:
-        """The events at `now` s as they stand. air: flights ((start, end), ...) s, end infinite while airborne."""
+    def reconsidered(self, found: Events, now: float, air: Spans, view: Callable[[], View]) -> tuple[Events, Events]:
+        """The events at `now` s as they stand, and the open claims that losses among them have become. air: flights ((start, end), ...) s,
+        end infinite while airborne."""
         looks = [(_key(e), e.end_s is None, sum(now - e.onset_s >= s for s in LOOKS_S)) for e in found if e.kind == LOSS]
         known = (sum(bool(np.isfinite(end)) for _, end in air), *(look for look in looks if look[-1]))
         if known != self._known:
@@ -39,7 +41,8 @@ class InFlight:
             same = {_key(e): e for e in after}
             renamed = {e[1:]: same[e] for e in same.keys() - {_key(e) for e in found}}  # another kind, of the same rotors and onset
             self._known, self._ruled = known, {key: same.get(key, renamed.get(key[1:])) for key in map(_key, found)}
-        return tuple(event for e in found if (event := self._as_ruled(e)) is not None)
+            self._open = seen.open
+        return tuple(event for e in found if (event := self._as_ruled(e)) is not None), self._open
 
     def _as_ruled(self, event: Event) -> Event | None:
         """The event as the witnesses left it, with its newest size; None where they withdrew it."""
