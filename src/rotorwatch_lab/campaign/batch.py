@@ -13,7 +13,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from rotorwatch import detectors
+from rotorwatch import detectors, logs
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
@@ -150,6 +150,12 @@ def simulated(plan: Flights, flights: Sequence[int], size: int) -> Iterator[tupl
     first = scenarios[0]
     records = fly_each(MULTIROTOR, plans, first.duration_s, first.rate_hz, first.record_hz, logbook.needed, size)
     return zip(flights, scenarios, plans, records, strict=True)
+
+
+def logged(number: int, scenario: Scenario, plan: Any, record: Any) -> Flight:
+    """A flight of `simulated` as it is read from the log file that its autopilot would write. Raises LogError."""
+    suffix = next(suffix for suffix, autopilot in logbook.SUFFIXES.items() if autopilot == scenario.autopilot)
+    return logs.from_bytes(logbook.log(scenario, plan, record), f"flight-{number}{suffix}")
 
 
 def prepared(number: int, scenario: Scenario, plan: Any, record: Any) -> Flown | None:

@@ -25,10 +25,8 @@ from rotorwatch.toolkit import Conclusion, airborne, diagnose, odds, prepare
 from rotorwatch_lab.campaign import batch, open_score
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.experiments import inject, tools
-from rotorwatch_lab.simulation import logbook
 from rotorwatch_lab.simulation.scenario import Scenario
 
-SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}
 HARMLESS = ("strong", "tilt")  # faults that cost no thrust
 
 
@@ -102,7 +100,7 @@ def _of_plan(plan: Plan, numbers: Sequence[int], size: int) -> Iterable[Flown]:
     for k, scenario, drawn, record in batch.simulated(plan, numbers, size):
         kind = plan.kind(k)
         try:
-            flight = logs.from_bytes(logbook.log(scenario, drawn, record), f"flight-{k}{SUFFIX[scenario.autopilot]}")
+            flight = batch.logged(k, scenario, drawn, record)
             found.append(_flown("plan", flight, faults(scenario), kind.name if kind else "", scenario))
         except RotorwatchError:
             continue  # a log that is refused claims nothing

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from rotorwatch import logs
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis
@@ -26,29 +25,26 @@ from rotorwatch_lab.campaign import batch, open_score, work
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.campaign.score import read_columns
 from rotorwatch_lab.experiments import tools
-from rotorwatch_lab.simulation import logbook
 from rotorwatch_lab.simulation.scenario import Scenario
 
 COLUMNS = read_columns("open_world")
 GROUPS = {"healthy": "rotors healthy", "other": "a fault that is no loss", "loss": "a loss"}
 QUARTER = 0.25
 UNANSWERED = ("inconclusive", "error")
-SUFFIX = {autopilot: suffix for suffix, autopilot in logbook.SUFFIXES.items()}
 
 
 def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     """A row of COLUMNS for each flight (`work.Judge`). All flights must be of one cell."""
     rows = []
     for k, scenario, numbers, record in batch.simulated(plan, flights, size):
-        log = logbook.log(scenario, numbers, record)
         kind = plan.kind(k)
-        row = _row(scenario, record, log, f"flight-{k}{SUFFIX[scenario.autopilot]}")
+        row = _row(k, scenario, numbers, record)
         rows.append(row | {"flight": k, "kind": kind.name if kind else ""})
     return rows
 
 
-def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, Any]:
-    """The columns of one flight. log: what its log file holds, of that name."""
+def _row(number: int, scenario: Scenario, numbers: Any, record: Any) -> dict[str, Any]:
+    """The columns of one flight."""
     faults, sizes = scenario.faults, open_score.losses(scenario).values()
     crashed = np.flatnonzero(np.asarray(record.flies) < 0.5)
     row: dict[str, Any] = dict.fromkeys(COLUMNS) | {
@@ -59,7 +55,7 @@ def _row(scenario: Scenario, record: Any, log: bytes, name: str) -> dict[str, An
         "crashed_s": float(record.time[crashed[0]]) if crashed.size else None,
     }  # fmt: skip
     try:
-        answer, air = _answer(logs.from_bytes(log, name))
+        answer, air = _answer(batch.logged(number, scenario, numbers, record))
     except RotorwatchError as why:
         return row | {"verdict": "error", "outcome": "error", "headline": str(why), "accused": ""}
     about = {"verdict": answer.verdict, "headline": answer.headline, "airborne_s": float(air[1] - air[0]) if air else 0.0}

@@ -6,14 +6,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from typing import Any
 
-from rotorwatch import logs
 from rotorwatch.errors import ConfigError, RotorwatchError
 from rotorwatch.toolkit import prepare, witness
 from rotorwatch_lab.campaign import batch, open_score
-from rotorwatch_lab.campaign.claims import SUFFIX
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.experiments import tools
-from rotorwatch_lab.simulation import logbook
 
 ALL = "all witnesses"
 COUNTS: dict[str, Callable[[str, str], bool]] = {
@@ -53,7 +50,7 @@ def _part(part: tuple[Plan, Sequence[int]]) -> Iterable[tuple[str, dict[str, str
     found = []
     for k, scenario, drawn, record in batch.simulated(plan, numbers, batch.CPU_WIDTH):
         try:
-            ready = prepare(logs.from_bytes(logbook.log(scenario, drawn, record), f"flight-{k}{SUFFIX[scenario.autopilot]}"))
+            ready = prepare(batch.logged(k, scenario, drawn, record))
         except RotorwatchError:
             continue
         if ready.table is None:
