@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import numpy as np
 import rotorwatch as rw
 from rotorwatch.base.many import spread
 from rotorwatch.flight import kinds
-from rotorwatch_lab.campaign import open_world
+from rotorwatch_lab.campaign import batch
 from rotorwatch_lab.campaign.plan import read
 from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.simulation import logbook, scenario
@@ -107,10 +106,7 @@ def told(flown: Scenario) -> tuple[str, dict[str, str]]:
     """(verdict, reason of each notice) that `diagnose` gives of the log of a flight."""
     numbers = flight_plan(flown)
     (record,) = fly_each(MULTIROTOR, [numbers], flown.duration_s, flown.rate_hz, flown.record_hz, logbook.needed)
-    with tempfile.TemporaryDirectory(prefix="rotorwatch-") as folder:
-        path = Path(folder) / f"flight{open_world.SUFFIX[flown.autopilot]}"
-        logbook.write(flown, numbers, record, path)
-        answer = rw.diagnose(path)
+    answer = rw.diagnose(batch.logged(0, flown, numbers, record))
     return answer.verdict, {e.kind: e.reason for e in answer.events if e.kind in KINDS}
 
 

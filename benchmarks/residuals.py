@@ -29,9 +29,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.toolkit import JUDGE, estimated, prepare
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import batch, open_score
-from rotorwatch_lab.campaign.open_world import SUFFIX
 from rotorwatch_lab.experiments import tools
-from rotorwatch_lab.simulation import logbook
 
 AXES = ("roll", "pitch", "yaw", "thrust")
 SEGMENT, LEAD, LEAST = 128, 2.0, 200
@@ -112,7 +110,7 @@ def simulated(plan: campaign.Plan, flights: int) -> Iterator[dict[str, float]]:
     for k in healthy:
         for _, scenario, numbers, record in batch.simulated(plan, [k], 1):
             try:
-                found = innovations(logs.from_bytes(logbook.log(scenario, numbers, record), f"flight-{k}{SUFFIX[scenario.autopilot]}"))
+                found = innovations(batch.logged(k, scenario, numbers, record))
             except RotorwatchError:
                 continue
             if found is not None:
