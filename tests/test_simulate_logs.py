@@ -83,17 +83,18 @@ def test_records_follow_each_other_in_time_whatever_they_are_of():
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-def test_a_campaign_answers_from_memory_what_diagnose_answers_to_the_file(logs, autopilot):
+def test_a_campaign_answers_from_memory_what_diagnose_answers_to_the_file(logs, autopilot, monkeypatch):
     path, (one, numbers, record) = (logs[autopilot][0], (made(autopilot).scenario, made(autopilot).plan, made(autopilot).record))
     data = logbook.log(one, numbers, record)
     assert data == path.read_bytes()
-    row, answer = open_world._row(one, record, data, path.name), rw.diagnose(path)
+    row, answer = open_world._row(7, one, numbers, record), rw.diagnose(path)
     wanted = open_score.judged(one, answer)
     assert {key: row[key] for key in wanted} == wanted and answer.events
     assert (row["verdict"], row["headline"]) == (answer.verdict, answer.headline)
     assert row["airborne_s"] == answer.flight["airborne_s"][1] - answer.flight["airborne_s"][0]
-    damaged = open_world._row(one, record, b"nothing", path.name)
-    assert damaged["verdict"] == "error" and damaged["headline"] == f"{path.name}: not a flight log of a known kind"
+    monkeypatch.setattr(logbook, "log", lambda *_: b"nothing")
+    damaged = open_world._row(7, one, numbers, record)
+    assert damaged["verdict"] == "error" and damaged["headline"] == f"flight-7{path.suffix}: not a flight log of a known kind"
 
 
 def test_pymavlink_opens_the_dataflash_log(logs):
