@@ -100,7 +100,7 @@ def test_two_seconds_of_contact_accuse_nobody():
 
 def test_the_wrong_rotor_is_not_left_alone():
     kept, _, _ = heard(flight(0.3, rotor=0), [claim(3)])
-    assert not kept or all((1,) in e.alternatives for e in kept)
+    assert all(e.rotors == (1,) or (1,) in e.alternatives for e in kept)
 
 
 def test_a_slow_motor_elsewhere_is_no_loss_here():
@@ -162,7 +162,7 @@ def test_a_load_that_shifts_weighs_with_the_thrust():
     ticks = flight(trim=shifted)
     ticks = replace(ticks, load=ticks.load + more(ticks.time) / 4.0)
     found = rivals.weigh(view(ticks), claim(1), ())
-    assert found is not None and found.weighed().none > 0.99
+    assert found is not None and found.weighed().claim < 0.01 and found.weighed().none > 0.8
     nats = {r.name: r.log_p for r in found.rows if not r.beside}
     assert nats["shift"] > nats["step 1"] + 20.0
     assert heard(ticks, [claim(1)])[:2] == ((), ())
@@ -185,9 +185,10 @@ def test_explanations_are_alike_until_the_onset_and_independent_of_their_order()
 def test_losses_that_are_no_question_are_taken_out():
     ticks = flight(0.3)
     learned, _ = estimate(ticks, QUAD)
-    known = np.zeros_like(ticks.thrust)
-    known[ticks.time > ONSET_S, 0] = 0.3
-    where = span(ticks, QUAD, learned, ONSET_S, 10.0, ONSET_S + 10.0, known)
+    missing = np.zeros_like(ticks.thrust)
+    late = ticks.time > ONSET_S
+    missing[late, 0] = 0.3 * ticks.thrust[late, 0]
+    where = span(ticks, QUAD, learned, ONSET_S, 10.0, ONSET_S + 10.0, missing)
     loss, none = compare(where, [Explanation((0,)), Explanation()])
     assert none.log_p > loss.log_p - 1.0 and abs(loss.loss[0]) < 0.03
 

@@ -1,7 +1,7 @@
 """Events reconsidered while the vehicle flies: a loss must explain the motion that follows it, and no flight ends in a loss by its landing.
 
 The witnesses that revise and compare claims (`witnesses.witness.Stage`) are asked of a link whenever there is more to go by: LOOKS_S of
-motion after a loss, its end, another loss, or the end of a flight. In between, their last result holds.
+motion after a loss or its end, another loss, or the end of a flight. In between, their last result holds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rotorwatch.flight.kinds import LOSS
 from rotorwatch.witnesses import witness
 from rotorwatch.witnesses.witness import Events, Stage, View
 
-LOOKS_S = 6.0, 20.0  # of motion after an onset; sooner, true losses are withdrawn as often as others
+LOOKS_S = 6.0, 20.0  # of motion after an onset or an end; sooner, true losses are withdrawn as often as others
 
 Key = tuple[str, tuple[int, ...], float]
 
@@ -33,8 +33,8 @@ class InFlight:
     def reconsidered(self, found: Events, now: float, air: Spans, view: Callable[[], View]) -> tuple[Events, Events]:
         """The events at `now` s as they stand, and the open claims that losses among them have become. air: flights ((start, end), ...) s,
         end infinite while airborne."""
-        looks = [(_key(e), e.end_s is None, sum(now - e.onset_s >= s for s in LOOKS_S)) for e in found if e.kind == LOSS]
-        known = (sum(bool(np.isfinite(end)) for _, end in air), *(look for look in looks if look[-1]))
+        looks = [(_key(e), e.end_s is None, _looks(now, e.onset_s), _looks(now, e.end_s)) for e in found if e.kind == LOSS]
+        known = (sum(bool(np.isfinite(end)) for _, end in air), *(look for look in looks if look[2]))
         if known != self._known:
             seen = view()
             after = witness.ask(Stage.COMPARISON, seen, witness.ask(Stage.REVISION, seen, found))
@@ -52,6 +52,11 @@ class InFlight:
         if ruled.kind != LOSS:
             return event
         return replace(event, alternatives=ruled.alternatives, probability=min(event.probability, ruled.probability), end_s=ruled.end_s)
+
+
+def _looks(now: float, since: float | None) -> int:
+    """Number of looks that are due `since` s at `now` s."""
+    return 0 if since is None else sum(now - since >= s for s in LOOKS_S)
 
 
 def _key(event: Event) -> Key:

@@ -11,6 +11,7 @@ alternative. An open claim that is sure and exceeds all else by a margin becomes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -24,7 +25,7 @@ from rotorwatch.engine.events.decisions import CLEAR
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; added are
 # "beside" for two at once, and "claimed" where the rotors are those of a loss that was announced.
 WEIGHTS: dict[str, float] = {
-    "loss": 0.0, "lasting": 0.0, "growing": -0.6, "stuck": -2.3, "capped": -3.3, "two": -5.9, "slow": -2.6, "turned": -1.8,
+    "loss": 0.0, "growing": -0.6, "stuck": -2.3, "capped": -3.3, "two": -5.9, "slow": -2.6, "turned": -1.8,
     "nothing": 5.8, "step": 0.2, "shift": 1.2, "move": 0.9, "wrench": 0.3, "beside": -0.9, "claimed": 1.2,
 }  # fmt: skip
 TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
@@ -76,9 +77,17 @@ class Row(NamedTuple):
 
 
 def row(rival: Rival, fit: Fit) -> Row:
-    """The row of a rival's fit."""
+    """The row of a rival's fit. A rotor does not gain thrust: the prior of a loss theta ends at 0, and the evidence of a fit whose prior
+    does not is multiplied by 2 P(theta > 0)."""
     weak = tuple(sorted(i for i in rival.weak if fit.loss[i] > 0.0))
-    return Row(rival.name, rival.beside, rival.how.rotors, weak, fit.log_p, fit.loss[list(weak)], fit.sd[list(weak)])
+    lost = rival.weak if not rival.how.gives else ()  # a stuck rotor has no loss
+    log_p = fit.log_p + sum(_log_positive(fit.loss[i] / max(fit.sd[i], 1e-9)) for i in lost)
+    return Row(rival.name, rival.beside, rival.how.rotors, weak, log_p, fit.loss[list(weak)], fit.sd[list(weak)])
+
+
+def _log_positive(z: float) -> float:
+    """log(2 Phi(z)), by its asymptote where Phi is too small."""
+    return math.log(math.erfc(-z / math.sqrt(2.0))) if z > -30.0 else -0.5 * z * z - math.log(-z)
 
 
 class Decision(Enum):
@@ -90,15 +99,13 @@ class Decision(Enum):
 class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
     rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    lasts: log odds that the loss is not over. best: the likeliest row with a size of each other set, where there is
-    one."""
+    best: the likeliest row with a size of each other set, where there is one."""
 
     claim: float
     none: float
     others: dict[tuple[int, ...], float]
     slow: np.ndarray
     ahead: float
-    lasts: float
     best: dict[tuple[int, ...], Row]
 
     def likeliest(self, among: Sequence[int]) -> tuple[int, ...] | None:
@@ -155,10 +162,8 @@ class Comparison:
         kinds = [(r.weak, r.rotors if r.group == "slow" else ()) for r in rows]
         first = int(np.argmax(logs))
         ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
-        lasting = [x for x, r in zip(logs, rows) if r.name == "lasting loss"]
-        lasts = float(lasting[0] - logs[0]) if lasting else 0.0
         others = {who: sums[who] for who in sorted(sums)}
-        return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), lasts, best)
+        return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), best)
 
     def claims(self, one: Row) -> bool:
         """True for a row under which the claimed rotors are at fault."""
@@ -179,7 +184,10 @@ class Comparison:
         clear = limits.clear / (1.0 + limits.clear)
         if found.none > (limits.sure if self.grows or self.alternatives else clear):
             return Decision.DROPPED
-        return Decision.OPEN if found.none > 1.0 - clear and not self.alternatives else Decision.LOSS
+        if found.claim < 1.0 - clear:  # another rotor, or none in particular
+            return Decision.OPEN if max(found.others.values(), default=0.0) > 0.5 else Decision.DROPPED
+        unsure = found.none > 1.0 - clear or (found.claim < clear and not found.near(limits))
+        return Decision.OPEN if unsure and not self.alternatives else Decision.LOSS
 
     def _settled(self, found: Weighed, limits: Limits) -> Decision:
         who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))

@@ -3,7 +3,8 @@
 The estimator announces a loss as soon as it is likelier than what it has seen of this flight's disturbances. After the flight more is
 known: the motion that followed. A loss must predict it, on all axes, as well as the healthy model predicted the motion before; wind, a
 knock, the ground or a tether need not have the direction of a rotor, nor follow its command. odds.py has the weights of the explanations,
-and decides what becomes of a claim. A loss that is said to be over, but whose rotor moves the vehicle as if it were not, lasts.
+and decides what becomes of a claim. Before that, a loss that is said to be over lasts where the motion after its end is explained better
+with the loss than without.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ import numpy as np
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
+from rotorwatch.engine.estimator.plant import ANSWER_S
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
-from rotorwatch.witnesses.odds import LIMITS, SCAN, Comparison, Decision, Rival, Weighed, row
+from rotorwatch.witnesses.odds import SCAN, Comparison, Decision, Rival, Weighed, row
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 register(
@@ -73,7 +75,7 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Mapping[float, fl
     singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
     if not claim:
         return [*rest, *singles]
-    own = [*_losses(claim, end_s), Rival("lasting loss", Explanation(claim))]
+    own = _losses(claim, end_s)
     own += [Rival(f"capped {q:g}", Explanation(claim, end_s, cap=cap)) for q, cap in (caps or {}).items()]
     pairs = [Rival("two losses", Explanation((*claim, i), end_s)) for i in range(n) if len(claim) == 1 and i not in claim]
     return [*own, *rest, *singles, *pairs]
@@ -87,11 +89,13 @@ def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
     ]  # fmt: skip
 
 
-def beside(claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
-    """The loss together with the likeliest of what else moves the vehicle, and so the likeliest slow rotor or turned mount."""
+def beside(n: int, claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
+    """The loss together with the likeliest of what else moves the vehicle; and so the likeliest slow rotor or turned mount, and a loss of
+    each other rotor of n: what else moves a vehicle has more freedom than its model, of which any rotor's loss takes a part."""
     likely = sorted((k for k, r in enumerate(them) if r in ELSE), key=lambda k: -logs[k])[:COMPANIONS]
     odd = them[max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])]
-    own = [Rival("loss", them[k].how._replace(rotors=claim, end_s=end_s), them[k].name) for k in likely]
+    every = [claim, *((i,) for i in range(n) if (i,) != claim)]
+    own = [Rival("loss", them[k].how._replace(rotors=who, end_s=end_s), them[k].name) for who in every for k in likely]
     same = {name: getattr(odd.how, name) for name in ("rotors", "end_s", "late", "turned")}
     return [*own, *(Rival(odd.name, them[k].how._replace(**same), them[k].name) for k in likely)]
 
@@ -118,7 +122,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
         )  # fmt: skip
 
     if claim:
-        more = beside(claim, end_s, them, compared().logs())
+        more = beside(view.B.shape[1], claim, end_s, them, compared().logs())
         fits += compare(where, [them[0].how, *(r.how for r in more)])[1:]
         them += more
     return compared()
@@ -132,7 +136,7 @@ def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s:
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
-    where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _known(view, event, events))
+    where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(view, events, event.rotors))
     if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S:
         return None
     if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
@@ -149,23 +153,40 @@ def _in_time(where: Span) -> Span:
     return replace(before[int(np.argmax(fits))], onset=where.onset)
 
 
-def _known(view: View, event: Event, events: Sequence[Event]) -> np.ndarray:
-    """(T, n) losses of other rotors at the ticks."""
+def _missing(view: View, events: Sequence[Event], but: Sequence[int] = (), lag_s: float = 0.0) -> np.ndarray:
+    """(T, n) thrust that losses take at the ticks, without those of some rotors, from 1. lag_s: of the commands."""
     assert view.table is not None
-    known = np.zeros_like(view.table.thrust)
+    table = lagged(view.table, view.B, lag_s) if lag_s else view.table
+    lost = np.zeros_like(table.thrust)
     for e in events:
-        if e.kind != LOSS or e.alternatives or set(e.rotors) & set(event.rotors):
+        if e.kind != LOSS or e.alternatives or set(e.rotors) & set(but):
             continue
-        rows = (view.table.command_time >= e.onset_s) & (view.table.command_time <= (np.inf if e.end_s is None else e.end_s))
+        rows = (table.command_time >= e.onset_s) & (table.command_time <= (np.inf if e.end_s is None else e.end_s))
         for rotor, loss in zip(e.rotors, e.loss):
-            known[rows, rotor - 1] = loss
-    return known
+            lost[rows, rotor - 1] = loss
+    return lost * table.thrust
+
+
+def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
+    """The event; without an end where the motion after it has more evidence with the loss than without. The loss takes thrust with ANSWER_S
+    of lag: a controller answers gusts by quick commands, which any loss would seem to explain in part."""
+    if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.table is None:
+        return event
+    rest, logs = [e for e in events if e is not event], []
+    for told in (event, replace(event, end_s=None)):
+        missing = _missing(view, [*rest, told], lag_s=ANSWER_S)
+        where = span(view.table, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
+        if (len(where.ticks.time) - where.onset) * view.table.dt < SHORTEST_S:
+            return event
+        logs.append(compare(where, [Explanation()])[0].log_p)
+    return event if logs[0] >= logs[1] else replace(event, end_s=None)
 
 
 def _hear(view: View, events: Events) -> Events:
     """The events and, in `view.open`, the open claims, as the comparison leaves them."""
     if not (view.hovers and view.default) or view.learned is None or view.table is None:
         return events
+    events = tuple(_ended(view, e, events) for e in events)
     kept: list[Event] = []
     open_: list[Event] = []
     for e in events:
@@ -274,10 +295,9 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
 
 
 def _named(event: Event, found: Weighed) -> Event:
-    """The event with the rotors that explain the motion nearly as well, and without an end that the motion denies."""
+    """The event with the rotors that explain the motion nearly as well."""
     more = (who for who in found.near() if who not in event.alternatives)
-    event = replace(event, alternatives=(*event.alternatives, *more), probability=min(event.probability, found.claim))
-    return replace(event, end_s=None) if found.lasts > np.log(LIMITS.sure / (1.0 - LIMITS.sure)) else event
+    return replace(event, alternatives=(*event.alternatives, *more), probability=min(event.probability, found.claim))
 
 
 def _event(view: View, claim: Event, who: tuple[int, ...], found: Weighed) -> Event:

@@ -28,7 +28,7 @@ from rotorwatch_lab.experiments import tools
 
 OUTSIDE = 0.01
 WIDTH = 1.5  # nats: how far the data of few claims move a weight
-FIXED = ("loss", "lasting")  # a loss of one rotor, over or not: what the others are relative to
+FIXED = ("loss",)  # of one rotor: what the others are relative to
 NEAR_S = 3.0  # a claim's onset and the fault's
 LATER_S = 23.0  # of motion that a claim is compared on
 LATENT = ("slow", "capped")  # faults that show only when the rotor is commanded so

@@ -82,8 +82,9 @@ def lagged(ticks: Ticks, B: np.ndarray, lag_s: float) -> Ticks:
     return replace(ticks, thrust=thrust, wrench=thrust @ B.T)
 
 
-def span(table: Ticks, B: np.ndarray, learned: Learned, onset_s: float, before_s: float, end_s: float, known: np.ndarray) -> Span:
-    """The ticks from `before_s` s before a change to `end_s`, of its hop. known (T, n): losses of rotors that are no question here."""
+def span(table: Ticks, B: np.ndarray, learned: Learned, onset_s: float, before_s: float, end_s: float, missing: np.ndarray) -> Span:
+    """The ticks from `before_s` s before a change to `end_s`, of its hop. missing (T, n): thrust that rotors lack, which is no question
+    here [hover thrusts]."""
     k = int(np.searchsorted(table.command_time, onset_s))
     starts = np.flatnonzero(table.restart)
     first = int(starts[starts <= k][-1]) if (starts <= k).any() else 0
@@ -91,7 +92,7 @@ def span(table: Ticks, B: np.ndarray, learned: Learned, onset_s: float, before_s
     rows = np.flatnonzero(table.mode[first:last] > GROUND) + first
     rows = rows[(table.command_time[rows] >= onset_s - before_s) & (table.command_time[rows] <= end_s)]
     part = table.part(rows)
-    y = part.wrench - (part.thrust * known[rows]) @ B.T
+    y = part.wrench - missing[rows] @ B.T
     return Span(part, B, y, int(np.searchsorted(part.command_time, onset_s)), learned)
 
 
