@@ -18,7 +18,6 @@ from rotorwatch.witnesses.upset.balance import Fit, Offset, Window, delivered, f
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
 STUCK = np.array([0.5, 0.7, 0.9])  # of full thrust, of a rotor that no longer follows its command but gives more than in hover
 CARRIES = 1.5  # hover thrusts: a rotor that still gives this much turns no vehicle over
-LIFTS = 2.0  # nats of evidence for such a rotor that the load alone has to give
 # Frequency of each explanation among vehicles that departed controlled flight.
 PRIOR = {"healthy": 0.4, "rotor": 0.4, "outside": 0.1}
 ORDER = {"healthy": 0.25, "rotor": 0.35, "outside": 0.08, "order": 0.25, "yaw": 0.05}
@@ -94,10 +93,6 @@ def explain(
     fits = [fit(window, np.stack(courses[c : c + CHUNK]), B, offset) for c in range(0, len(courses), CHUNK)]
     log = np.concatenate([f.log_evidence for f in fits])
     log = log + np.log([STUCK_WEIGHT if gives else 1.0 for *_, gives in labels])
-    residual = np.concatenate([f.residual[:, :, 3] for f in fits])  # (courses, K): of thrust
-    lifts = 0.5 * np.sum(residual[0] ** 2 - residual**2, axis=1)
-    # A rotor with more thrust than commanded lifts the vehicle, so the load has to show it.
-    log = np.where([bool(gives) for *_, gives in labels] & (lifts < LIFTS), -np.inf, log)
     explanations = [_summed(kind, rotors, prior, labels, log, fits, window) for kind, rotors in dict.fromkeys(x[:2] for x in labels)]
     explanations.sort(key=lambda e: -e.log)
     weight = np.exp(np.array([e.log for e in explanations]) - explanations[0].log)
