@@ -16,7 +16,7 @@ from rotorwatch.engine.estimator.estimator_sizes import HYPOTHESES, PLACES, ROTO
 from rotorwatch.engine.estimator.evidence import Best, Evidence
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.kalman import Measured
-from rotorwatch.engine.estimator.model_error import ERROR_TICKS, Memory, Seen, shows_air, unknown_damping
+from rotorwatch.engine.estimator.model_error import ERROR_TICKS, Memory, Seen, given, shows_air, unknown_damping
 from rotorwatch.engine.estimator.noise import WHITE, Noise
 from rotorwatch.engine.estimator.opposite import TURNING, Opposite
 from rotorwatch.engine.estimator.plant import (
@@ -246,10 +246,7 @@ class Estimator(Struct):
         """Determine how far to trust this tick's inputs and the model, and build the measurement with its variance R."""
         n = p.rotors
         leader = self.branches.all[0]
-        mean = 0.0
-        for i in range(n):
-            mean += now.thrust[i] / real(n)
-        self.usual = max(mean if now.restart else self.memory.collective, LEAST_USUAL)
+        self.usual = max(given(p, now, leader.s) if now.restart else self.memory.collective, LEAST_USUAL)
         rows(p, now, now.thrust, now.forward, now.right, leader.s, self.usual, self.rows)
         bends = local(REAL, ROTORS)
         bent = local(REAL, 4)
@@ -324,8 +321,13 @@ class Estimator(Struct):
         # gives.
         more = local(REAL, ROTORS)
         bends = local(REAL, ROTORS)
+        commanded = real(n) * self.usual  # the mean that is commanded, from the mean that is given
+        gives = real(n)
         for i in range(n):
-            more[i] = self.usual + max(self.memory.trim[i], 0.0)
+            commanded += out.each[0][i] * self.memory.trim[i]
+            gives -= out.each[0][i]
+        for i in range(n):
+            more[i] = max(commanded / max(gives, 1.0) + self.memory.trim[i], self.usual)
         bend(p, now, more, self.usual, bends)
         for i in range(n):
             out.theta[i] = out.each[0][i]

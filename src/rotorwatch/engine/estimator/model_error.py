@@ -80,7 +80,7 @@ class Memory(Struct):
     thrust = array(REAL, ROTORS)  # each rotor's thrust minus the mean of all, averaged over ANSWER_S
     thrust_level = array(REAL, ROTORS)  # its calm variance
     trim = array(REAL, ROTORS)  # the same as thrust, averaged over USUAL_S
-    collective: Real = 1.0  # mean thrust of all rotors over USUAL_S
+    collective: Real = 1.0  # mean thrust that the rotors give, over USUAL_S
     side = array(REAL, 2)  # last side force, forward and right, m/s^2
     push = array(REAL, 2)  # its mean over ANSWER_S
     usual_push = array(REAL, 2)  # its mean over USUAL_S
@@ -118,7 +118,7 @@ class Memory(Struct):
         self._thrusts(p, now, past, 0.0 if now.restart else fade, seen)
         self._side_force(now, past, 0.0 if now.restart else fade, seen)
         # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are uncertain.
-        collective = _mean(p, now)
+        collective = given(p, now, s)
         usual = collective if now.restart else self.collective
         seen.far = max(abs(collective - usual) - FAR, 0.0) + max(abs(now.load / real(n) - 1.0) - FAR, 0.0)
         seen.curve *= max(0.0, 1.0 - seen.far / FAR)
@@ -256,6 +256,14 @@ class Memory(Struct):
         x = self.push[0] - self.usual_push[0]
         y = self.push[1] - self.usual_push[1]
         return real(p.rotors) * max(sqrt(x * x + y * y) / G0 - SIDE_FORCE, 0.0)
+
+
+def given(p: Plant, now: Inputs, s: Reals) -> Real:
+    """Mean thrust that the rotors give, with the losses of the state s: beside a weak rotor less than is commanded."""
+    total = 0.0
+    for i in range(p.rotors):
+        total += now.thrust[i] * (1.0 - min(max(s[THETA + i], 0.0), 1.0))
+    return total / real(p.rotors)
 
 
 def _mean(p: Plant, now: Inputs) -> Real:

@@ -36,8 +36,9 @@ from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, TOGETHER
 from rotorwatch.engine.intake.ticks import JUDGE
 
-# Share by which the slope of the thrust curve in hover may differ from the logged one: an error of 0.12 in an expo of 0.65.
-CURVE_SHARE = 0.08
+# Share by which the slope of the thrust curve in hover may differ from the logged one: an error of 0.18 in an expo of 0.65, as a setting
+# that was never measured has.
+CURVE_SHARE = 0.12
 COAXIAL_SHARE = 0.1  # the same with the division of thrust in a coaxial arm: half of the error of the lower rotors' share
 PAIR_WEIGHT = 1e-4  # prior weight of a pair relative to a single rotor
 YOUNG_S = 1.0  # time after an announcement within which a pair mistaken for one rotor becomes distinguishable from it
