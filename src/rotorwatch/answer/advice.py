@@ -65,7 +65,7 @@ def advise(
         if e.means.weight is Weight.NOTICE and not (e.kind == REPORTED and _came_of(e, events))
     ]
     why = "its loss grew steadily, as with a worn bearing, a hot motor or a propeller coming loose"
-    growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status == "healthy"]
+    growing = [s.rotor for s in states if s.trend and s.trend.word == "growing" and s.status in ("healthy", "suspect")]
     out += [f"Inspect {rotors([rotor], places)} before the next flight: {why}." for rotor in growing]
     outside = [e for e in events if e.means.weight is Weight.OUTSIDE]
     for kind in dict.fromkeys(e.kind for e in outside):

@@ -17,7 +17,7 @@ from rotorwatch.answer.findings import Evidence, together
 from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import SCALE, candidates, grows, headline, interval, listed, percent, rotors, said, seconds, sentence, up_to
 from rotorwatch.engine.events.decisions import MENTIONED, TOTAL_LOSS
-from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine
+from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
@@ -374,7 +374,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
 
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
-        clear = status not in ("unobservable", "suspect")
+        clear = status not in ("unobservable", "suspect") or (status == "suspect" and _growth(seen, rotor) is not None)
         interval = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
         # The steady state before control was lost does not hold for the rotor after it.
         trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
@@ -452,9 +452,19 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
         elif rotor in s.rotors:
             span = f"from {seconds(s.onset_s)} to {seconds(s.end_s)}"
             suspicions.append((f"evidence against it {span} that no event explains", 1.0))
+    if (t := _growth(seen, rotor)) is not None:
+        grown = min(1.0, t.interval[1] * (t.end_s - t.start_s) / 60.0)
+        suspicions.append((f"{grows(t)}, or wind or load changed at the same rate", grown))
     if seen.lost is not None and not claims and any(rotor in who for who in seen.lost.alternatives):
         suspicions.append((said(seen.lost.means.now, seen.lost), 1.0))
     return suspicions
+
+
+def _growth(seen: Evidence, rotor: int) -> Trend | None:
+    """The growing loss of a rotor, in a flight in which no event accuses any."""
+    if any(e.means.accuses for e in seen.events):
+        return None
+    return dict(seen.growing).get(rotor)
 
 
 def _past(seen: Evidence, rotor: int, claims) -> str:
