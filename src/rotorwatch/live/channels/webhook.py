@@ -16,13 +16,20 @@ from collections.abc import Callable
 
 from rotorwatch.base.files import public
 from rotorwatch.errors import ConfigError
+from rotorwatch.live.channels import Option
 from rotorwatch.live.guard import as_json
 
+OPTION = Option("--webhook", "POST every alert as JSON to this address.", "URL", "ROTORWATCH_WEBHOOK")
 MOST = 1000  # waiting alerts; beyond, the oldest are dropped
 TIMEOUT_S = 10.0
 FIRST_S, LONGEST_S = 1.0, 60.0  # pauses between attempts, doubled each time
 AGAIN = (408, 425, 429)  # client errors that mean "later"
 LAST_S = 5.0  # at the end, for unsent alerts
+
+
+def opened(value: str, notify: Callable[[str], None]) -> Webhook:
+    """The sender. Raises ConfigError."""
+    return Webhook(value, notify)
 
 
 def checked(url: str) -> str:
