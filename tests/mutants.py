@@ -80,6 +80,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "witnesses/battery.py": ("reports", "upset"),
     "live/reported.py": ("watch_reports", "watch"),
     "live/channels/*.py": ("watch_alerts",),
+    "live/channels/mqtt.py": ("mqtt",),
+    "fleet/publish.py": ("mqtt",),
     "live/channels/tell_ground.py": ("watch_alerts", "ground_events"),
     "live/snapshot.py": ("watch_alerts", "ground_events"),
     "logs/ulog*.py": ("logs_px4",),
