@@ -80,6 +80,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "witnesses/battery.py": ("reports", "upset"),
     "live/reported.py": ("watch_reports", "watch"),
     "live/channels/*.py": ("watch_alerts",),
+    "live/channels/ros2_diagnostics.py": ("ros2_diagnostics",),
     "live/channels/mqtt.py": ("mqtt",),
     "fleet/publish.py": ("mqtt",),
     "live/channels/tell_ground.py": ("watch_alerts", "ground_events"),

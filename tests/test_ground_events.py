@@ -110,7 +110,7 @@ def test_the_motor_outputs_are_healthy_until_a_rotor_is_at_fault_and_all_else_is
     station.fly(hexa_event(end_s=40.0))
     assert bits(station.hear("SYS_STATUS")[0]) == (True, True, True)
     station.fly(hexa_event(kind="loss_of_control", **NOBODY, extra={"cause": "knock"}))
-    assert bits(station.hear("SYS_STATUS")[0]) == (True, True, True)
+    assert bits(station.hear("SYS_STATUS")[0]) == (False, False, False), "out of control nothing is known of the motors"
 
 
 def test_nothing_is_said_of_motors_that_are_not_judged_and_nothing_against_the_autopilot():

@@ -27,7 +27,15 @@ def _channels(command: Callable) -> Callable:
     return command
 
 
-@click.command(short_help="Diagnose vehicles in flight.")
+class Node(click.Command):
+    """A command that may be started as a node of ROS 2."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """What follows --ros-args is ROS's, which takes it from the process."""
+        return super().parse_args(ctx, args[: args.index("--ros-args")] if "--ros-args" in args else args)
+
+
+@click.command(cls=Node, short_help="Diagnose vehicles in flight.")
 @click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
 @SPEED
 @WATCHED

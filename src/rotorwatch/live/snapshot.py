@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 from rotorwatch.flight.diagnosis import Event
@@ -36,8 +37,9 @@ class Snapshot:
 
     @property
     def judged(self) -> bool:
-        """True if the rotors are being assessed, or an event still applies."""
-        return self.state in ("OK", "MAYBE", "FAULT", "LOST")
+        """True if the rotors are being assessed now."""
+        silent = time.monotonic() - self.last_frame > view.SILENT_S
+        return self.state in ("OK", "MAYBE", "FAULT") and not silent and (not self.blind or self.blind.startswith("thrust"))
 
 
 def taken(watched: Watched, waits_for: str = "") -> Snapshot:
