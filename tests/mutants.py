@@ -69,7 +69,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/dataflash_binary.py": ("dataflash", "dataflash_damage", "dataflash_pymavlink"),
     "logs/dataflash*.py": ("dataflash", "dataflash_old", "dataflash_damage"),
     "logs/table.py": ("logs_table",),
-    "logs/parquet_pages.py": ("logs_table",),
+    "logs/parquet_pages.py": ("logs_table", "logs_flight_review"),
     "logs/log_memory.py": ("logs_table", "logs_px4"),
     "logs/*esc*.py": ("esc_readers",),
     "logs/mavlink_frames.py": ("logs_tlog",),
