@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from tests.flight_review_tables import convert
+from tests.review_tables import convert
 
 import rotorwatch as rw
 from rotorwatch import gathering
