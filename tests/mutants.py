@@ -70,6 +70,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/dataflash*.py": ("dataflash", "dataflash_old", "dataflash_damage"),
     "logs/table.py": ("logs_table",),
     "logs/parquet_pages.py": ("logs_table", "logs_review"),
+    "report/parquet_tables.py": ("parquet_tables",),
     "logs/review.py": ("logs_review",),
     "logs/log_memory.py": ("logs_table", "logs_px4"),
     "logs/*esc*.py": ("esc_readers",),

@@ -13,7 +13,7 @@ from typing import Any
 from rotorwatch import logs
 from rotorwatch.base import incoming, optional
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.logs import container
+from rotorwatch.logs import container, parquet_pages
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 PATTERN = re.compile(r"[*?\[]")
@@ -184,7 +184,7 @@ def is_log(path: Path) -> bool:
     found: Any = logs.recognise(data, "" if table else name) if data else None
     if table and hasattr(found, "sniff_folder"):  # a table of a set: others begin with such a column, too
         return found.sniff_folder(path.parent)
-    return found is not None
+    return found is not None and not (table and parquet_pages.is_answer(path))
 
 
 def _fsspec(address: str) -> Any:

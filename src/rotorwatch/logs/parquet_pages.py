@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from rotorwatch.errors import LogError
 from rotorwatch.logs import container
 
+OWN, END = "rotorwatch.answers", 1 << 16  # a key in the files of `report/parquet_tables.py`, and the bytes at a file's end that hold it
 DAMAGED = "this Parquet table is damaged or has non-numeric columns"
 _UNPACKED, _PACKED = 2, 3  # fields of a page's head
 _INTEGERS, _STRUCT = (4, 5, 6), 12
@@ -41,6 +43,13 @@ def opened(data, check: Callable[[Sequence[str]], None] = lambda names: None):
         yield file
     except (pyarrow.ArrowException, Damaged) as error:
         raise LogError(DAMAGED) from error
+
+
+def is_answer(path: Path) -> bool:
+    """True for a table of answers, which is no log."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - END, 0))
+        return OWN.encode() in file.read(END)
 
 
 def is_number(kind: Any) -> bool:
