@@ -172,6 +172,27 @@ def test_an_event_carries_rotor_size_and_severity(event, level, message):
         assert parsed.name() == "vehicle" and parsed.argument_display_value(2) == parsed.description().removeprefix("Cause: ")
 
 
+@pytest.mark.parametrize("turns, message", [(False, "ESC of rotor 5: motor stopped"), (True, "ESC of rotor 5: motor turns again")])
+def test_an_esc_that_reports_a_stopped_motor_is_an_event(turns, message):
+    station = Station()
+    station.fly()
+    text = "the ESC of rotor 5 reports " + ("that the motor turns again" if turns else "a stopped motor") + " at 3.0 s"
+    station.outlet.take({"type": "notice", "vehicle": "udp:14550/7", "rotor": 5, "text": text})
+    (said,) = station.hear(EVENT)
+    assert unpacked(said)[2].message() == message
+
+
+def test_requests_are_answered_a_few_at_a_time():
+    station = Station()
+    whom = {"target_system": 7, "target_component": 191}
+    pack = framing.Sender(255, 190)
+    for _ in range(1000):
+        station.wire.queue.append(("a", pack.frame(framing.outgoing("REQUEST_EVENT", **whom))))
+    station.link.poll(0.0)
+    assert len(station.link.asked) == 100
+    assert len(station.hear(ERROR, wait_s=0.0)) == tell_ground.AT_ONCE
+
+
 def test_every_kind_of_event_has_a_definition_that_the_schema_allows():
     component = ground_events.definitions()["components"]["191"]
     names = {entry["name"] for entry in component["enums"]["kind_t"]["entries"].values()}

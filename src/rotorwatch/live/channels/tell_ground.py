@@ -25,6 +25,7 @@ OPTION = Option(
 )  # fmt: skip
 PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
+AT_ONCE = 2  # requests that are answered in a step of the loop: an answer is at most 6 frames, so that nobody can be flooded
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, and two states, on serial ports and elsewhere
 MOTOR_OUTPUTS = 0x8000  # MAV_SYS_STATUS_SENSOR
 STANDBY, ACTIVE, FAULTY, LOST = 3, 4, 5, 6  # MAV_STATE: standby, active, critical, emergency
@@ -95,7 +96,7 @@ class Ground:
                         vehicle.values = now
                         for number, loss in enumerate(known[0].tolist(), 1):
                             source.broadcast(name, ground.value(source.boot_ms(name), number, loss))
-            while source.asked:
+            for _ in range(min(len(source.asked), AT_ONCE)):
                 self._answer(source, *source.asked.popleft())
 
     def leave(self) -> None:
