@@ -141,6 +141,17 @@ def test_the_components_state_follows_the_vehicle():
     assert not station.hear("HEARTBEAT", wait_s=0.5)
 
 
+def test_a_vehicle_that_is_not_received_shows_no_sign_of_life():
+    station = Station()
+    station.fly()
+    station.vehicle(status())
+    (vehicle,) = station.link.vehicles
+    vehicle.health.last_frame -= 2.0
+    assert not station.hear("HEARTBEAT", "SYS_STATUS", "NAMED_VALUE_FLOAT", SEQUENCE)
+    station.vehicle(beat())
+    assert station.hear("HEARTBEAT") and station.hear("NAMED_VALUE_FLOAT")
+
+
 def unpacked(message):
     """(sequence, log levels, event by libevents' parser) of an EVENT."""
     body = bytes(message.data)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from rotorwatch.live.watch import Source
 
 ADDRESS = "mqtt[s]://[USER:PASSWORD@]HOST[:PORT][/TOPIC]"
-OPTION = Option("--mqtt", "Publish alerts and states to this MQTT broker.", ADDRESS, "ROTORWATCH_MQTT")
+OPTION = Option("--mqtt", "Publish alerts and states to this MQTT broker (docs/watch.md).", "URL", "ROTORWATCH_MQTT")
 PREFIX, PORTS = "rotorwatch", {"mqtt": 1883, "mqtts": 8883}
 MOST = 1000  # waiting alerts; beyond, new ones are dropped
 EVERY_S, LAST_S = 1.0, 5.0  # between two states; at the end, for unsent alerts

@@ -27,6 +27,8 @@ PAUSE_S = 2.0  # between two texts of one vehicle
 A_MINUTE = 10  # texts of one vehicle in a minute
 AT_ONCE = 2  # requests that are answered in a step of the loop: an answer is at most 6 frames, so that nobody can be flooded
 SLOW_S, FAST_S = 5.0, 1.0  # between two values of a rotor, and two states, on serial ports and elsewhere
+# Only while the vehicle itself is received: a ground station may take what a component sends for a sign of life of the vehicle.
+FRESH_S = 1.0
 MOTOR_OUTPUTS = 0x8000  # MAV_SYS_STATUS_SENSOR
 STANDBY, ACTIVE, FAULTY, LOST = 3, 4, 5, 6  # MAV_STATE: standby, active, critical, emergency
 STATES = {"OK": ACTIVE, "MAYBE": FAULTY, "FAULT": FAULTY, "LOST": LOST}
@@ -86,11 +88,12 @@ class Ground:
                 vehicle, name = self._of(watched.name), watched.name
                 if vehicle.waiting:
                     self._texts(source, name, vehicle, now)
-                if now - vehicle.state >= every:
+                fresh = source.clock() - watched.health.last_frame < FRESH_S
+                if fresh and now - vehicle.state >= every:
                     vehicle.state = now
                     for message in (*states(snapshot.taken(watched, waits_for), source.status(name)), vehicle.events.current()):
                         source.broadcast(name, message)
-                if now - vehicle.values >= every and watched.session is not None and watched.session.flying:
+                if fresh and now - vehicle.values >= every and watched.session is not None and watched.session.flying:
                     known = watched.session.losses()
                     if known is not None:
                         vehicle.values = now
