@@ -53,6 +53,27 @@ def test_a_folder_of_them_is_a_folder_of_logs(ulog, tables, tmp_path):
     assert [path.name for path in gathering.Gathered([tmp_path])] == ["a", "b"]
 
 
+def test_a_bucket_of_them_is_a_bucket_of_logs(ulog, tables, tmp_path):
+    """Behind an address, as Flight Review's storage is: a folder of tables is one log, and is fetched."""
+    fsspec = pytest.importorskip("fsspec")
+    system = fsspec.filesystem("memory")
+    for name in ("a", "b"):
+        for file in tables.iterdir():
+            system.pipe(f"/review/{name}/{file.name}", file.read_bytes())
+        system.pipe(f"/review/{name}/log.ulg", ulog.read_bytes())
+    system.pipe("/review/c.ulg", ulog.read_bytes())
+    try:
+        found = list(gathering.Gathered(["memory://review/"]))
+        assert found == ["memory:///review/a/", "memory:///review/b/", "memory:///review/c.ulg"]
+        assert list(gathering.Gathered([found[0]])) == found[:1]
+        with gathering.fetched(found[0]) as here:
+            assert here.name == "a" and rw.read(here).parameters and not (here / "log.ulg").exists()
+        answers = {answer.path: answer for answer in rw.diagnose_many(["memory://review/"], jobs=1)}
+        assert {answer.diagnosis.verdict for answer in answers.values()} == {"fault"} and len(answers) == 3
+    finally:
+        system.rm("/review", recursive=True)
+
+
 def untimed(path):
     pq.write_table(pq.read_table(path).drop(["timestamp"]), path)
 

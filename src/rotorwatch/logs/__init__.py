@@ -7,9 +7,9 @@
 ENDINGS, where given, are the file name endings of this format alone, as ".tlog"; COMMON_ENDINGS those that other files have as well.
 Nothing else lists names of logs.
 
-A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead. One whose files hold
-several flights has parts(data) -> their numbers, the longest first, and its read takes part=NUMBER. progress, where given, is called with
-the finished share, 0..1.
+A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead, and TABLES,
+the pattern of the names of its files. One whose files hold several flights has parts(data) -> their numbers, the longest first, and its
+read takes part=NUMBER. progress, where given, is called with the finished share, 0..1.
 
 Another package may offer a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md). It is tried
 when no built-in format recognises the file.

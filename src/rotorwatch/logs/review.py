@@ -19,18 +19,18 @@ from rotorwatch.logs.container import open_log
 
 FORMAT = "Flight Review tables"
 METADATA = "metadata.json"
-_TOPIC = re.compile(rf"(?P<topic>{'|'.join((*px4_topics.TOPICS, *px4_topics.RAW))})(?:_(?P<instance>\d+))?\.parquet")
+TABLES = re.compile(rf"(?P<topic>{'|'.join((*px4_topics.TOPICS, *px4_topics.RAW))})(?:_(?P<instance>\d+))?\.parquet")
 _SEVERE = {"EMERGENCY", "ALERT", "CRITICAL", "ERROR"}
 
 
 def sniff_folder(path: Path) -> bool:
     """True for a folder that holds at least one table of a topic that is read here."""
-    return any(_TOPIC.fullmatch(p.name) for p in path.iterdir())
+    return any(TABLES.fullmatch(p.name) for p in path.iterdir())
 
 
 def read_folder(path: Path, progress=None) -> Flight:
     """Read the tables of one log. Raises LogError where they hold no samples, or pyarrow is missing."""
-    files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := _TOPIC.fullmatch(p.name))}
+    files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := TABLES.fullmatch(p.name))}
     speeds = any(m["topic"] == px4_topics.SPEEDS for m in files.values())
     notes: list[str] = []
     tables = {}
