@@ -38,6 +38,8 @@ ODD = [
     ("watch", "udp:1", "--webhook", "http://u:s3cr3t@127.0.0.1:abc/x"),
     ("watch", "udp:1", "--webhook", "ftp://u:s3cr3t@x"),
     ("watch", "udp:1", "--webhook", "http://[::1"),
+    ("watch", "udp:1", "--mqtt", "mqtt://u:s3cr3t@127.0.0.1:abc/x"),
+    ("watch", "udp:1", "--mqtt", "http://u:s3cr3t@127.0.0.1/x"),
     ("watch", "udp:14599", "--metrics", "x..y:1"),
     ("watch", "tcp:a..b:5"),
     ("watch", "udpin:" + 300 * "a" + ":1"),

@@ -21,7 +21,7 @@ from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError, LinkError, StoreError, StoreFull
 from rotorwatch.fleet.store import Entry
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.live import metrics
+from rotorwatch.live.channels import metrics
 from rotorwatch.live.watched import Watched
 from rotorwatch.report.html import page
 from rotorwatch.serve import connections, live, names, security, server, uploads

@@ -20,6 +20,15 @@ BESIDES = {
         "time_usec", "error_count", "counter", "failure_flags", "temperature", "index", "count", "connection_type", "info",
     ]],
     "ESC_STATUS": [291, 10, "<Q4i4f4fB", ["time_usec", "rpm", "voltage", "current", "index"]],
+    "COMPONENT_METADATA": [397, 182, "<II100s", ["time_boot_ms", "file_crc", "uri"]],
+    "EVENT": [410, 160, "<IIHBBB40B", [
+        "id", "event_time_boot_ms", "sequence", "destination_component", "destination_system", "log_levels", "arguments",
+    ]],
+    "CURRENT_EVENT_SEQUENCE": [411, 106, "<HB", ["sequence", "flags"]],
+    "REQUEST_EVENT": [412, 33, "<HHBB", ["first_sequence", "last_sequence", "target_system", "target_component"]],
+    "RESPONSE_EVENT_ERROR": [413, 77, "<HHBBB", [
+        "sequence", "sequence_oldest_available", "target_system", "target_component", "reason",
+    ]],
 }  # fmt: skip
 
 

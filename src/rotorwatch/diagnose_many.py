@@ -35,8 +35,8 @@ class Known(NamedTuple):
 class Answer:
     """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
     where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
-    recording: the MCAP file, picture: a PNG, likewise. parts: sections of a post. unchanged: it is as it was known,
-    and was not judged again."""
+    recording: the MCAP file, picture: a PNG, tables: those of `report.parquet_tables`, likewise. parts: sections of a post. unchanged: it
+    is as it was known, and was not judged again."""
 
     index: int
     path: str
@@ -47,6 +47,7 @@ class Answer:
     page: str | None = None
     recording: bytes | None = None
     picture: bytes | None = None
+    tables: Mapping[str, Any] | None = None
     parts: tuple[Any, ...] = ()
     unchanged: bool = False
 
@@ -77,6 +78,7 @@ def diagnose_many(
     known: Mapping[str, Known] | None = None,
     pictures: bool = False,
     matters: float = MATTERS,
+    tables: bool = False,
 ) -> Iterator[Answer]:
     """`diagnose` of every log: an `Answer` for each as soon as it is there, in any order; an error of one stops no other.
 
@@ -84,9 +86,10 @@ def diagnose_many(
     They may come from a generator: no more logs are taken than are worked on. vehicle, baseline, estimator, tuning, matters: as for
     `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of a
     cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files; pictures: PNGs, where there is something
-    to draw. hashed: size and SHA-256 of each log's content. known: full path -> what it was when it had its answer; those that did not
-    change are not judged again. Raises ConfigError, VehicleError or LogError where no log can be judged: a folder without logs, a wrong
-    vehicle or baseline, a scheduler that does not answer.
+    to draw; tables: pyarrow's tables of flights, ticks, losses and events (docs/parquet.md). hashed: size and SHA-256 of each log's
+    content. known: full path -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError,
+    VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
+    answer.
     """
     from rotorwatch.base.many.spread import run, useful_jobs
     from rotorwatch.witnesses.healthy.baselines import vehicle_of
@@ -97,7 +100,7 @@ def diagnose_many(
         if not isinstance(source, Flight):
             read(source)  # an error in it would be every log's
     healthy = tuple(source if isinstance(source, Flight) else _named(source, scheduler) for source in baseline)
-    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed, matters)
+    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed, matters, tables)
     if isinstance(paths, Sequence):
         paths = paths if isinstance(paths, gathering.Found) else list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
@@ -149,6 +152,7 @@ class _Judge:
     pictures: bool
     hashed: bool
     matters: float = MATTERS
+    tables: bool = False
 
     @cached_property
     def healthy(self) -> tuple[Any, ...]:
@@ -174,7 +178,7 @@ class _Judge:
             return Answer(0, path, error=why, size=size, sha256=sha256)
         from rotorwatch.report import markdown
 
-        page = recording = picture = None
+        page = recording = picture = tables = None
         if self.pages:
             from rotorwatch.report import html
 
@@ -183,12 +187,16 @@ class _Judge:
             from rotorwatch.report import mcap_file
 
             recording = mcap_file.content(found)
+        if self.tables:
+            from rotorwatch.report import parquet_tables
+
+            tables = parquet_tables.tables(found, gathering.full(path))
         if self.pictures:
             with suppress(ConfigError):  # there is nothing to draw
                 picture = markdown.picture_of(found)
         return Answer(
             0, path, replace(found, trace=None), size=size, sha256=sha256, page=page, recording=recording, picture=picture,
-            parts=markdown.prepared(found),
+            tables=tables, parts=markdown.prepared(found),
         )  # fmt: skip
 
 

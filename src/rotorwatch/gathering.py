@@ -13,7 +13,7 @@ from typing import Any
 from rotorwatch import logs
 from rotorwatch.base import incoming, optional
 from rotorwatch.errors import ConfigError, LogError
-from rotorwatch.logs import container
+from rotorwatch.logs import container, parquet_pages
 
 ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+://", re.IGNORECASE)
 PATTERN = re.compile(r"[*?\[]")
@@ -115,8 +115,11 @@ class Gathered:
             found = system.glob(path) if "*" in path else system.find(path)
         except Exception as why:  # every store has errors of its own
             raise ConfigError(_unreadable(address, why)) from why
+        folders = {name.rpartition("/")[0] for name in found if _is_part(name)}
+        yield from (f"{system.unstrip_protocol(folder)}/" for folder in sorted(folders))
         for name in sorted(found):
-            if name.rpartition("/")[2].startswith("."):
+            folder, _, file = name.rpartition("/")
+            if file.startswith(".") or folder in folders:
                 continue
             if logs.named().search(name.split("?")[0]):
                 yield system.unstrip_protocol(name)
@@ -131,7 +134,7 @@ def full(log: str | os.PathLike) -> str:
 
 @contextmanager
 def fetched(log: str | os.PathLike) -> Iterator[Path]:
-    """The log as a file here: itself, or what its address holds, in a folder that goes afterwards. Raises LogError."""
+    """The log as a file or a folder here: itself, or what its address holds, in a folder that goes afterwards. Raises LogError."""
     if not is_address(log):
         yield Path(log)
         return
@@ -150,13 +153,27 @@ def fetched(log: str | os.PathLike) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(dir=incoming.spool()) as folder:
         path = Path(folder) / (name.rstrip("/").rpartition("/")[2] or "log")
         try:
-            with fsspec.open(address, "rb") as source:
-                incoming.keep(source, path, address)
+            if address.endswith("/"):  # a folder of tables
+                path.mkdir()
+                system, there = fsspec.core.url_to_fs(address)
+                for file in system.ls(there, detail=False):
+                    if _is_part(file) or file.endswith(".json"):
+                        with system.open(file, "rb") as source:
+                            incoming.keep(source, path / file.rpartition("/")[2], address)
+            else:
+                with fsspec.open(address, "rb") as source:
+                    incoming.keep(source, path, address)
         except LogError:
             raise
         except Exception as why:
             raise LogError(_unreadable(address, why)) from why
         yield path
+
+
+def _is_part(name: str) -> bool:
+    """True for the name of a table of a format that is a folder of tables."""
+    file = name.rpartition("/")[2]
+    return any(m.TABLES.fullmatch(file) for m in logs.formats() if hasattr(m, "TABLES"))
 
 
 def is_there(path: Path) -> bool:
@@ -184,7 +201,7 @@ def is_log(path: Path) -> bool:
     found: Any = logs.recognise(data, "" if table else name) if data else None
     if table and hasattr(found, "sniff_folder"):  # a table of a set: others begin with such a column, too
         return found.sniff_folder(path.parent)
-    return found is not None
+    return found is not None and not (table and parquet_pages.is_answer(path))
 
 
 def _fsspec(address: str) -> Any:

@@ -176,6 +176,7 @@ def cli() -> None:
 @option("--report", "Write an HTML report; for several logs a folder or {name}.html.", type=OUT, metavar="OUT.html")
 @option("--html", "Write a report for each log and a page that lists them.", type=OUT, metavar="DIR")
 @option("--mcap", "Write an MCAP file for Foxglove or PlotJuggler; for several logs as --report.", type=OUT, metavar="OUT.mcap")
+@option("--parquet", "Write tables of flights, ticks, losses and events as Parquet files (docs/parquet.md).", type=OUT, metavar="DIR")
 @option(
     "--markdown",
     "Write Markdown for a forum or an issue, and a picture beside it; without FILE.md, or for -, on standard output.",
@@ -210,7 +211,9 @@ def diagnose(context, **options) -> None:
     if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to continue it.")
     _check_markdown(request)
-    several_ways = request.jsonl or request.html or request.scheduler
+    if request.parquet and request.resume:
+        raise ConfigError("--parquet and --resume exclude each other: the tables would lack the logs of earlier calls.")
+    several_ways = request.jsonl or request.html or request.scheduler or request.parquet
     many = len(request.logs) > 1 or bool(several_ways) or gathering.is_several(request.logs[0])
     gathered = gathering.Gathered(request.logs)
     logs = gathering.Found(gathered) if many else request.logs

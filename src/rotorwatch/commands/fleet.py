@@ -53,10 +53,11 @@ def fleet() -> None:
 @option("--aircraft", "Aircraft, for logs that do not name it.", "", metavar="NAME")
 @option("--vehicle", "Vehicle file (TOML), for logs that do not name their frame.", type=LOG, metavar="FILE")
 @flag("--follow", "Then watch the folders and add new logs until interrupted.")
+@option("--mqtt", "Publish new flights and the state of each aircraft to this MQTT broker.", metavar="URL", envvar="ROTORWATCH_MQTT")
 @spread
 @_store(make=True)
 @common
-def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
+def add(store, logs, aircraft, vehicle, follow, mqtt, jobs, scheduler, quiet) -> None:
     """Diagnose every LOG, and all logs in every DIR, that the store does not have yet (by content), and assess each aircraft.
 
     After an interruption, even a lost database, the same command resumes. Exit code: 0, or 2 when a log could not be diagnosed; one in
@@ -69,10 +70,27 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     folders = [Path(one) for one in logs if Path(one).is_dir()]
     if follow and not folders:
         raise ConfigError("--follow watches folders; give at least one.")
+    broker = None
+    if mqtt:
+        from rotorwatch.fleet.publish import Publisher
+
+        broker = Publisher(mqtt, say)
+        click.get_current_context().call_on_close(broker.leave)
+
+    def tell(outcome) -> None:
+        _print_outcome(outcome)
+        if broker:
+            broker.outcome(outcome)
+
+    def assessed(store) -> None:
+        if broker:
+            broker.aircraft(store)
+
     with progress(quiet or not live()) as report:
-        outcomes, others = run.add(store, logs, aircraft, known, _print_outcome, report, jobs, scheduler)
+        outcomes, others = run.add(store, logs, aircraft, known, tell, report, jobs, scheduler)
         if any(a["stale"] for a in store.aircraft()):
             assess.refresh(store, report)
+    assessed(store)
     count = {state: sum(t.state == state for t in outcomes) for state in ("added", "known", "failed")}
     if not quiet:
         parts = [f"{count['added']} added"]
@@ -87,7 +105,7 @@ def add(store, logs, aircraft, vehicle, follow, jobs, scheduler, quiet) -> None:
     if follow:
         if not quiet:
             say(f"watching {', '.join(map(str, folders))}; Ctrl-C stops it")
-        run.follow(store, folders, aircraft, known, _print_outcome, say)
+        run.follow(store, folders, aircraft, known, tell, say, assessed=assessed)
     click.get_current_context().exit(FAILED if count["failed"] else ADDED)
 
 

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -37,6 +37,7 @@ class Request(NamedTuple):
     report: Path | None
     html: Path | None
     mcap: Path | None
+    parquet: Path | None
     markdown: Path | None
     identify: bool
     verbose: bool
@@ -73,7 +74,7 @@ def settings(estimator: str, matters: float, *files: Path | None) -> str:
 def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
     """Judge all logs; returns the exit code. explain: makes a sentence of an exception. However it ends, the answers so far are shown."""
     from rotorwatch.diagnose_many import Answer, diagnose_many
-    from rotorwatch.report import markdown, overview
+    from rotorwatch.report import markdown, overview, parquet_tables
 
     if request.others and not request.quiet:
         say(f"{request.others} other {'file is' if request.others == 1 else 'files are'} not flight logs; skipped.")
@@ -81,7 +82,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
     together = markdown.Several(request.identify) if request.document else None
     pictures = bool(request.markdown) and not request.to_stdout and _drawable(request.quiet)
     how = settings(request.estimator, request.matters, request.vehicle, request.tuning, *request.baselines)
-    with _lines(request, how) as lines, counting(request.quiet, "logs") as counter:
+    with _lines(request, how) as lines, _tables(request) as tables, counting(request.quiet, "logs") as counter:
         known = {path: line.known for path, line in lines.there.items() if line.known}
         began, total = time.monotonic(), len(request.logs)
 
@@ -102,6 +103,8 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             else:
                 record = answer.to_dict()
             codes.add(answer.exit_code)
+            if tables is not None:
+                tables.add(answer.tables or parquet_tables.failed(answer.path, record["error"]))
             page = _write_page(request, answer)
             lines.write(answer, record)
             if request.as_json:
@@ -118,7 +121,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
         answers = diagnose_many(
             request.logs, request.vehicle, request.baselines, request.estimator, request.tuned, request.jobs, request.scheduler,
             pages=bool(request.html or request.pages), recordings=bool(request.recordings), hashed=request.jsonl, known=known,
-            pictures=pictures, matters=request.matters,
+            pictures=pictures, matters=request.matters, tables=tables is not None,
         )  # fmt: skip
         try:
             for done, answer in enumerate(answers, start=1):
@@ -131,6 +134,13 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             if codes:
                 _show(request, rows, [listed[k] for k in sorted(listed)], together)
     return next((code for code in SEVERITY if code in codes), 0)
+
+
+def _tables(request: Request) -> Any:
+    """The writer of --parquet, or a context of nothing."""
+    from rotorwatch.report import parquet_tables
+
+    return nullcontext() if request.parquet is None else parquet_tables.Writer(request.parquet)
 
 
 def _drawable(quiet: bool) -> bool:
@@ -168,6 +178,8 @@ def _show(request: Request, rows: Any, listed: list[dict[str, Any]], together: A
         say(f"report written to {request.pages[0].parent}")
     if request.posts or (request.document and not request.to_stdout):
         say(f"posts written to {request.posts[0].parent}" if request.posts else f"post written to {request.document}")
+    if request.parquet:
+        say(f"tables written to {request.parquet}")
     if request.recordings:
         say(f"MCAP files written to {request.recordings[0].parent}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import click
@@ -15,7 +16,26 @@ from rotorwatch.errors import ConfigError
 FAULT, ERROR, NOTHING = 1, 2, 3
 
 
-@click.command(short_help="Diagnose vehicles in flight.")
+def _channels(command: Callable) -> Callable:
+    """The options of all channels (live/channels/)."""
+    from rotorwatch.live.channels import found
+
+    for channel in reversed(found()):
+        about = channel.OPTION
+        more = {"metavar": about.metavar, "envvar": about.envvar or None, "show_envvar": bool(about.envvar)} if about.metavar else {}
+        command = (option if about.metavar else flag)(about.name, about.help, **more)(command)
+    return command
+
+
+class Node(click.Command):
+    """A command that may be started as a node of ROS 2."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """What follows --ros-args is ROS's, which takes it from the process."""
+        return super().parse_args(ctx, args[: args.index("--ros-args")] if "--ros-args" in args else args)
+
+
+@click.command(cls=Node, short_help="Diagnose vehicles in flight.")
 @click.argument("endpoints", nargs=-1, required=True, metavar="ENDPOINT...")
 @SPEED
 @WATCHED
@@ -23,12 +43,10 @@ FAULT, ERROR, NOTHING = 1, 2, 3
 @flag("--listen-only", "Send nothing: request neither parameters nor rates.")
 @click.option("--seconds", type=float, default=math.inf, metavar="S", help="Stop after this time.")
 @option("--patience", "Time to wait for the first vehicle on a link.", 30.0, type=float, metavar="S")
-@option("--webhook", "POST every alert as JSON to this address.", metavar="URL", envvar="ROTORWATCH_WEBHOOK", show_envvar=True)
-@option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", metavar="[HOST:]PORT")
-@flag("--tell-ground", "Send results to the vehicles' ground stations as STATUSTEXT and NAMED_VALUE_FLOAT.")
+@_channels
 @flag("--jsonl", "Print alerts as JSON lines (docs/watch.md) instead of the display.")
 @common
-def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, webhook, metrics, tell_ground, jsonl, quiet) -> None:
+def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, jsonl, quiet, **channels) -> None:
     """Diagnose vehicles in flight. ENDPOINT: udp:PORT, udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, serial:DEVICE:BAUD, or a
     recorded log, which is replayed in real time.
 
@@ -49,7 +67,7 @@ def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, web
     pace, known = rate(speed), vehicle_of(vehicle)
     display = _lines if jsonl else (lambda alert: None) if _screen() else _sentences(quiet)
     sources: list[Any] = []
-    outlets = _outlets(webhook, metrics, tell_ground, listen_only, display)
+    outlets = _outlets(channels, listen_only, display)
     background = Guard(say)
     unread: list[OSError] = []
 
@@ -93,24 +111,20 @@ def watch(endpoints, speed, vehicle, record, listen_only, seconds, patience, web
     raise click.exceptions.Exit(code)
 
 
-def _outlets(webhook: str | None, metrics: str | None, tell_ground: bool, listen_only: bool, shown) -> list[Any]:
-    """Destinations of alerts besides the screen."""
-    if tell_ground and listen_only:
-        raise ConfigError("--tell-ground sends and --listen-only forbids it; leave out one of them.")
+def _outlets(values: dict[str, Any], listen_only: bool, shown) -> list[Any]:
+    """Destinations of alerts besides the screen. values: of the channels' options."""
+    from rotorwatch.live.channels import found
+
     outlets: list[Any] = []
     try:
-        if metrics is not None:
-            from rotorwatch.live.metrics import Metrics
-
-            outlets.append(Metrics(metrics))
-        if webhook is not None:
-            from rotorwatch.live.webhook import Webhook
-
-            outlets.append(Webhook(webhook, lambda text: shown({"type": "notice", "vehicle": "webhook", "text": text})))
-        if tell_ground:
-            from rotorwatch.live.ground import Ground
-
-            outlets.append(Ground())
+        for channel in found():
+            name, value = channel.OPTION.name, values[channel.OPTION.key]
+            if not value:
+                continue
+            if channel.OPTION.sends and listen_only:
+                raise ConfigError(f"{name} sends and --listen-only forbids it; leave out one of them.")
+            who = name.lstrip("-")
+            outlets.append(channel.opened(value, lambda text, who=who: shown({"type": "notice", "vehicle": who, "text": text})))
     except BaseException:
         for outlet in outlets:
             outlet.leave()

@@ -18,6 +18,7 @@ condition.py        whether an aircraft may fly, by its rotors and its flights
 assess.py           all of that together: the standing of every aircraft
 compare.py          two flights side by side
 fleet_pages.py      the standings as pages
+publish.py          flights and aircraft on an MQTT broker
 csv_export.py       the store as Parquet files
 """
 

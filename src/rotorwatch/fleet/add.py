@@ -163,9 +163,10 @@ def follow(
     trouble: Callable[[str], None] = lambda text: None,
     poll_s: float = POLL_S,
     stop: Callable[[], bool] = lambda: False,
+    assessed: Callable[[Store], None] = lambda store: None,
 ) -> None:
     """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed between two polls. When the
-    store cannot be reached, `trouble` is called once, and every poll retries."""
+    store cannot be reached, `trouble` is called once, and every poll retries. assessed: called after the aircraft have been assessed."""
     folders = [Path(f) for f in folders]
     seen: dict[Path, tuple[int, int]] = {}
     settled: dict[Path, tuple[int, int]] = {}
@@ -182,6 +183,7 @@ def follow(
                 seen[path] = mark
             if new or unwell:
                 assess.refresh(store)
+                assessed(store)
             unwell = ""
         except StoreError as why:
             if str(why) != unwell:

@@ -317,6 +317,13 @@ class Diagnosis:
 
         write(self, path)
 
+    def to_parquet(self, folder) -> None:
+        """Write flights.parquet, ticks.parquet, losses.parquet and events.parquet (docs/parquet.md) into a folder, which is made. Raises
+        ConfigError where pyarrow is not installed."""
+        from rotorwatch.report.parquet_tables import write
+
+        write(self, folder)
+
     def to_pandas(self):
         """The rotors as a pandas DataFrame, a row each: the fields of `RotorState`, intervals as two columns (`lower`, `upper`,
         `since_takeoff_lower`, `since_takeoff_upper`). Raises ConfigError where pandas is not installed."""

@@ -18,8 +18,9 @@ watch.py      all vehicles of all endpoints, in one loop
 guard.py      isolation of displays and alerts, whose failures must not end the evaluation
 record.py     a link as a telemetry log
 view.py       all vehicles in a terminal
-webhook.py    alerts to a web address
-metrics.py    the state of each vehicle, for Prometheus
-ground.py     alerts to ground stations
+snapshot.py   the state of a vehicle at one moment
+ground.py     alerts in the words of a ground station
+ground_events.py  alerts as MAVLink events, and their definitions
+channels/     destinations of alerts besides the screen, a file each
 mavproxy.py   the same in MAVProxy: its frames in, lines of its console and markers of its map out
 """

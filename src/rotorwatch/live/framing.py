@@ -141,6 +141,11 @@ class Outgoing(NamedTuple):
     name: str
     payload: bytes
 
+    @property
+    def number(self) -> int:
+        """Its message id."""
+        return mavlink_messages.by_name()[self.name].id
+
 
 def outgoing(name: str, /, **values) -> Outgoing:
     """A message with these values; omitted fields are 0."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from datetime import datetime, timezone
 from pathlib import Path
@@ -37,7 +38,8 @@ PEERS = 200  # with incomplete frames kept
 ONE_ID = "give each vehicle its own id (SYSID_THISMAV, MAV_SYS_ID)"
 TWO_SENDERS = f"two vehicles appear to send with the same id: {ONE_ID}"
 NO_AUTOPILOT = 8
-COMMAND_ACK, MESSAGE_INTERVAL = 77, 244
+COMMAND_ACK, MESSAGE_INTERVAL, SYS_STATUS = 77, 244, 1
+ASKS, ASKED = (76, 110, 412), 100  # COMMAND_LONG, FILE_TRANSFER_PROTOCOL, REQUEST_EVENT; of those kept
 
 
 def _words(needs: Iterable[str]) -> str:
@@ -61,6 +63,7 @@ class LinkedVehicle:
     def __init__(self, watched: Watched, key: tuple[int, int], autopilot: str, kind: int, link: Link, peer: Any):
         self.watched, self._key, self._link = watched, key, link
         self.messages = mavlink.Messages(autopilot, kind)
+        self.status: dict[str, Any] | None = None  # the fields of its last SYS_STATUS
         self._parameters, self._identity = requests.Parameters(*key), requests.Identity(*key)
         self._begun: dict[str, float] | None = None
         self._unfit = False  # its cached parameters
@@ -174,6 +177,8 @@ class LinkedVehicle:
         if layout is None:
             self._answer(identity, frame)
             return
+        if identity == SYS_STATUS:
+            self.status = mavlink.fields(mavlink.row(frame, layout))
         try:
             self.messages.add(layout, frame, arrival)
         except Restarted as why:
@@ -397,6 +402,8 @@ class Link:
         self._began, self._beat = clock(), 0.0
         self._sender = Sender(requests.SYSTEM, requests.COMPONENT)
         self._tellers: dict[int, Sender] = {}
+        # (vehicle, peer, system and component that ask, message id, fields) of what others ask of us as one of a vehicle's components
+        self.asked: deque[tuple[str, Any, tuple[int, int], int, dict[str, Any]]] = deque(maxlen=ASKED)
         self._first_version = False
         self.trouble = ""  # a non-fatal problem: a stopped recording
         self._record = self._open(record) if record is not None else None
@@ -463,13 +470,18 @@ class Link:
         """A message to one peer, or to all."""
         self.endpoint.send(self._sender.frame(message, self._first_version), peer)
 
-    def broadcast(self, name: str, message: Outgoing) -> None:
-        """Send a message to all listeners, as an onboard computer of the vehicle of this name."""
+    def broadcast(self, name: str, message: Outgoing, peer: Any = None) -> None:
+        """Send a message to one peer, or to all listeners, as an onboard computer of the vehicle of this name. MAVLink 1 has no messages
+        beyond number 255."""
         system = next((key[0] for key, vehicle in self._vehicles.items() if vehicle.watched.name == name), None)
-        if system is None or not self.talks:
+        if system is None or not self.talks or (self._first_version and message.number > 255):
             return
         sender = self._tellers.setdefault(system, Sender(system, requests.COMPONENT))
-        self.endpoint.send(sender.frame(message, self._first_version))
+        self.endpoint.send(sender.frame(message, self._first_version), peer)
+
+    def status(self, name: str) -> dict[str, Any] | None:
+        """The fields of the last SYS_STATUS of the vehicle of this name."""
+        return next((vehicle.status for vehicle in self._vehicles.values() if vehicle.watched.name == name), None)
 
     def boot_ms(self, name: str, time_s: float | None = None) -> int:
         """The vehicle's own time, as in its messages; time_s: that of its flight, None for now."""
@@ -497,6 +509,8 @@ class Link:
         sequence, system, component, identity = mavlink.header(frame)
         vehicle = self._vehicles.get((system, component))
         if vehicle is None:
+            if identity in ASKS:
+                self._hear(peer, frame, (system, component), identity)
             beat = frame if identity == 0 else self._outside.pop((system, component), None)
             if beat is not None:
                 self._meet(peer, beat, system, component, identity != 0)
@@ -506,6 +520,16 @@ class Link:
         self._fresh[vehicle] = None
         if vehicle.counted(sequence):
             vehicle.take(identity, frame, arrival)
+
+    def _hear(self, peer: Any, frame: bytes, who: tuple[int, int], identity: int) -> None:
+        """Keep what is asked of us as an onboard computer of a vehicle."""
+        asked = mavlink.decoded(identity, frame)
+        if asked is None or asked["target_component"] != requests.COMPONENT:
+            return
+        for (system, _), vehicle in self._vehicles.items():
+            if system == asked["target_system"]:
+                self.asked.append((vehicle.watched.name, peer, who, identity, asked))
+                return
 
     def _meet(self, peer: Any, frame: bytes, system: int, component: int, more: bool) -> None:
         """A heartbeat of a new sender. more: it has sent other messages as well."""

@@ -90,16 +90,20 @@ def header(frame: bytes) -> tuple[int, int, int, int]:
 
 @cache
 def _answers() -> dict[int, np.dtype]:
-    return {i: mavlink_frames.payload_type(mavlink_messages.by_id()[i]) for i in (77, 148, 244)}
+    return {i: mavlink_frames.payload_type(mavlink_messages.by_id()[i]) for i in (76, 77, 110, 148, 244, 412)}
+
+
+def fields(values: np.void) -> dict[str, Any]:
+    """The fields of a message as plain values, arrays as bytes."""
+    return {name: values[name].tobytes() if values[name].ndim else values[name].item() for name in values.dtype.names or ()}
 
 
 def decoded(identity: int, frame: bytes) -> dict[str, Any] | None:
-    """The fields of an answer to a request; None for other messages."""
+    """The fields of a request, or of an answer to one; None for other messages."""
     kind = _answers().get(identity)
     if kind is None:
         return None
-    values = np.frombuffer(payload(frame, kind.itemsize), kind)[0]
-    return {name: values[name].tobytes() if values[name].ndim else values[name].item() for name in kind.names or ()}
+    return fields(np.frombuffer(payload(frame, kind.itemsize), kind)[0])
 
 
 class Messages:

@@ -7,9 +7,9 @@
 ENDINGS, where given, are the file name endings of this format alone, as ".tlog"; COMMON_ENDINGS those that other files have as well.
 Nothing else lists names of logs.
 
-A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead. One whose files hold
-several flights has parts(data) -> their numbers, the longest first, and its read takes part=NUMBER. progress, where given, is called with
-the finished share, 0..1.
+A format that is a folder of tables has sniff_folder(path) and read_folder(path, progress=None) besides or instead, and TABLES,
+the pattern of the names of its files. One whose files hold several flights has parts(data) -> their numbers, the longest first, and its
+read takes part=NUMBER. progress, where given, is called with the finished share, 0..1.
 
 Another package may offer a module or an object with the same parts, as an entry point `rotorwatch.logs` (docs/plug-ins.md). It is tried
 when no built-in format recognises the file.
@@ -78,8 +78,8 @@ def named(common: bool = True, archives: bool = False) -> re.Pattern:
 def read(path, progress=None) -> Flight:
     """Read a flight log of any known format, compressed (.xz, .gz, .bz2) or not.
 
-    path: a file, or a folder: a ROS 2 bag or ulog2csv tables; of a file with several flights FILE#2 is the second. progress: called with
-    the finished share, 0..1.
+    path: a file, or a folder: a ROS 2 bag, ulog2csv tables or those of Flight Review; of a file with several flights FILE#2 is the second.
+    progress: called with the finished share, 0..1.
     Raises LogError with one sentence when there is no flight to be read; damage that leaves something is in `warnings`."""
     from rotorwatch.logs.container import open_log
 
@@ -88,7 +88,7 @@ def read(path, progress=None) -> Flight:
         folder_format = next((m for m in formats() if hasattr(m, "sniff_folder") and m.sniff_folder(path)), None)
         module: Any = folder_format or _theirs("sniff_folder", path)
         if module is None:
-            raise LogError(f"{path}: a folder without ulog2csv tables or a ROS 2 bag; give the log file itself")
+            raise LogError(f"{path}: a folder without ulog2csv tables, tables of Flight Review or a ROS 2 bag; give the log file itself")
         return _checked(lambda: module.read_folder(path, tell), module, path, (), progress)
     path, part = of_part(path)
     data, name, warnings = open_log(path, progress)

@@ -1,4 +1,4 @@
-"""The unpacked size of a Parquet file, from the headers of its pages before any of them is unpacked.
+"""Parquet files, opened only where they unpack to no more than a log may: their unpacked size is in the headers of their pages.
 
 The file's footer is not enough: a page of some kB may declare 2 GB, and the reader allocates it.
 https://parquet.apache.org/docs/file-format/data-pages/ and Thrift's compact protocol, in which the headers are encoded.
@@ -6,6 +6,16 @@ https://parquet.apache.org/docs/file-format/data-pages/ and Thrift's compact pro
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rotorwatch.errors import LogError
+from rotorwatch.logs import container
+
+OWN, END = "rotorwatch.answers", 1 << 16  # a key in the files of `report/parquet_tables.py`, and the bytes at a file's end that hold it
+DAMAGED = "this Parquet table is damaged or has non-numeric columns"
 _UNPACKED, _PACKED = 2, 3  # fields of a page's head
 _INTEGERS, _STRUCT = (4, 5, 6), 12
 _DEEPEST = 10
@@ -13,6 +23,40 @@ _DEEPEST = 10
 
 class Damaged(ValueError):
     """A page's header is missing where one has to be."""
+
+
+@contextmanager
+def opened(data, check: Callable[[Sequence[str]], None] = lambda names: None):
+    """The file in these bytes, as pyarrow's ParquetFile. check: called with the names of its columns before anything large is decoded.
+    Raises LogError where it is damaged, then or while it is read, unpacks to too much, or pyarrow is missing."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise LogError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from None
+    try:
+        file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
+        check(file.schema_arrow.names)
+        most = container.most(len(data))
+        if unfolded(data, file.metadata, most) > most:
+            raise container.too_much(most)
+        yield file
+    except (pyarrow.ArrowException, Damaged) as error:
+        raise LogError(DAMAGED) from error
+
+
+def is_answer(path: Path) -> bool:
+    """True for a table of answers, which is no log."""
+    with path.open("rb") as file:
+        file.seek(max(path.stat().st_size - END, 0))
+        return OWN.encode() in file.read(END)
+
+
+def is_number(kind: Any) -> bool:
+    """True for a column of that type, of pyarrow; texts and lists are of any length."""
+    import pyarrow.types as types
+
+    return any(of(kind) for of in (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null))
 
 
 def unfolded(data, metadata, most: int) -> int:

@@ -14,7 +14,7 @@ from rotorwatch.logs.container import open_log
 
 FORMAT = "ulog2csv tables"
 
-_TOPIC = re.compile(rf"(?:(?P<log>.*)_)?(?P<topic>{'|'.join(px4_topics.TOPICS)})_(?P<instance>\d+)\.csv(?:\.(?:xz|gz|bz2))?")
+TABLES = re.compile(rf"(?:(?P<log>.*)_)?(?P<topic>{'|'.join(px4_topics.TOPICS)})_(?P<instance>\d+)\.csv(?:\.(?:xz|gz|bz2))?")
 
 
 def sniff(head: bytes, name: str) -> bool:
@@ -24,7 +24,7 @@ def sniff(head: bytes, name: str) -> bool:
 
 def read(data, name: str, progress=None) -> Flight:
     """Read a single table of a set; its file name says which topic it is."""
-    match = _TOPIC.fullmatch(name)
+    match = TABLES.fullmatch(name)
     if match is None:
         raise LogError(f"{name}: a ulog2csv table is named <log>_<topic>_<instance>.csv, with a topic that is read here")
     notes: list[str] = []
@@ -34,14 +34,14 @@ def read(data, name: str, progress=None) -> Flight:
 
 def sniff_folder(path: Path) -> bool:
     """True for a folder that holds at least one table of a topic that is read here."""
-    return any(_TOPIC.fullmatch(p.name) for p in path.iterdir())
+    return any(TABLES.fullmatch(p.name) for p in path.iterdir())
 
 
 def read_folder(path: Path, progress=None) -> Flight:
     """Read the tables of one log from a folder.
 
     Raises LogError when the folder holds tables of several logs."""
-    files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := _TOPIC.fullmatch(p.name))}
+    files = {p: m for p in sorted(path.iterdir()) if p.is_file() and (m := TABLES.fullmatch(p.name))}
     logs = sorted({m["log"] or "" for m in files.values()})
     if len(logs) > 1:
         raise LogError(f"{path}: tables of {len(logs)} logs ({logs[0]}, {logs[1]} ..); give each log a folder of its own")

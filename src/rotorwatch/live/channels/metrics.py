@@ -7,47 +7,30 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import Counter as Count
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rotorwatch.base.optional import library
 from rotorwatch.errors import ConfigError
-from rotorwatch.live import view
-from rotorwatch.live.watch import Source
-from rotorwatch.live.watched import Watched
+from rotorwatch.live.channels import Option
+
+if TYPE_CHECKING:
+    from rotorwatch.live.snapshot import Snapshot
+    from rotorwatch.live.watch import Source
 
 EVERY_S = 1.0
 CONNECTIONS, ASKS_S = 32, 10.0  # at once, the oldest is closed for a new one; between two bytes of a request
 STATES = ("LOST", "FAULT", "MAYBE", "OK", "GROUND", "BLIND", "SILENT", "ERROR")
 
 
-@dataclass(frozen=True)
-class Picture:
-    """Snapshot of a vehicle. rotors: (loss, lower, upper) of each; last_frame: arrival of the last message (monotonic, s)."""
-
-    name: str
-    state: str
-    rotors: tuple[tuple[float, float, float], ...]
-    events: dict[str, int]
-    ticks: int
-    taken: int
-    lost: int
-    last_frame: float
+OPTION = Option("--metrics", "Metrics for Prometheus, at http://HOST:PORT/metrics.", "[HOST:]PORT")
 
 
-def picture(watched: Watched, waits_for: str = "") -> Picture:
-    """The current snapshot of a vehicle."""
-    losses = None if watched.session is None else watched.session.losses()
-    rotors = () if losses is None else tuple(zip(*(column.tolist() for column in losses)))
-    events: dict[str, int] = {}
-    for event in watched.events:
-        events[event.kind] = events.get(event.kind, 0) + 1
-    ticks = 0 if watched.session is None else watched.session.ticks
-    health = watched.health
-    state = view.line(watched, waits_for).state
-    return Picture(watched.name, state, rotors, events, ticks, health.taken, health.lost, health.last_frame)
+def opened(value: str, notify: Callable[[str], None]) -> Metrics:
+    """The page. Raises ConfigError."""
+    return Metrics(value)
 
 
 class Metrics:
@@ -62,7 +45,7 @@ class Metrics:
         prometheus = library("prometheus_client", "--metrics")
         registry = prometheus.CollectorRegistry()
         registry.register(self)
-        self._pictures: tuple[Picture, ...] = ()
+        self._snapshots: tuple[Snapshot, ...] = ()
         self._taken = 0.0
         try:
             self._server = _server(host, port, prometheus.make_wsgi_app(registry))
@@ -78,10 +61,12 @@ class Metrics:
 
     def step(self, sources: Sequence[Source]) -> None:
         """Store a snapshot of all vehicles, when due."""
+        from rotorwatch.live import snapshot
+
         now = time.monotonic()
         if now - self._taken >= EVERY_S:
             self._taken = now
-            self._pictures = tuple(picture(*pair) for source in sources for pair in source.shown())
+            self._snapshots = tuple(snapshot.taken(*pair) for source in sources for pair in source.shown())
 
     def leave(self) -> None:
         self._server.shutdown()
@@ -97,7 +82,7 @@ class Metrics:
         from prometheus_client.core import CounterMetricFamily as Counter
         from prometheus_client.core import GaugeMetricFamily as Gauge
 
-        now, pictures, by_name = time.monotonic(), self._pictures, ["vehicle"]
+        now, snapshots, by_name = time.monotonic(), self._snapshots, ["vehicle"]
         state = Gauge("rotorwatch_state", "1 for the state a vehicle is in, 0 for the others.", labels=["vehicle", "state"])
         columns = [
             Gauge(f"rotorwatch_rotor_loss{part}", text, labels=["vehicle", "rotor"])
@@ -113,13 +98,13 @@ class Metrics:
         lost = Counter("rotorwatch_messages_lost", "Messages missing by their sequence numbers.", labels=by_name)
         share = Gauge("rotorwatch_link_loss", "Share of the messages that were lost on the link.", labels=by_name)
         age = Gauge("rotorwatch_message_age_seconds", "Time since the last message.", labels=by_name)
-        for one in pictures:
+        for one in snapshots:
             for name in STATES:
                 state.add_metric([one.name, name], float(one.state == name))
             for number, bounds in enumerate(one.rotors, 1):
                 for column, value in zip(columns, bounds):
                     column.add_metric([one.name, str(number)], value)
-            for kind, count in one.events.items():
+            for kind, count in Count(event.kind for event in one.events).items():
                 events.add_metric([one.name, kind], count)
             ticks.add_metric([one.name], one.ticks)
             taken.add_metric([one.name], one.taken)

@@ -8,21 +8,27 @@ from __future__ import annotations
 
 import threading
 import time
-import urllib.error
 import urllib.parse
-import urllib.request
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 from rotorwatch.base.files import public
 from rotorwatch.errors import ConfigError
+from rotorwatch.live.channels import Option
 from rotorwatch.live.guard import as_json
 
+OPTION = Option("--webhook", "POST every alert as JSON to this address.", "URL", "ROTORWATCH_WEBHOOK")
 MOST = 1000  # waiting alerts; beyond, the oldest are dropped
 TIMEOUT_S = 10.0
 FIRST_S, LONGEST_S = 1.0, 60.0  # pauses between attempts, doubled each time
 AGAIN = (408, 425, 429)  # client errors that mean "later"
 LAST_S = 5.0  # at the end, for unsent alerts
+
+
+def opened(value: str, notify: Callable[[str], None]) -> Webhook:
+    """The sender. Raises ConfigError."""
+    return Webhook(value, notify)
 
 
 def checked(url: str) -> str:
@@ -38,11 +44,15 @@ def checked(url: str) -> str:
     return name
 
 
-class _Here(urllib.request.HTTPRedirectHandler):
-    """No redirection, which would turn a POST into a GET: it is an answer like any other."""
+def _client() -> Any:
+    """A client that follows no redirection, which would turn a POST into a GET: it is an answer like any other."""
+    import urllib.request
 
-    def redirect_request(self, req, fp, code, msg, headers, newurl):
-        return None
+    class Here(urllib.request.HTTPRedirectHandler):
+        def redirect_request(self, req, fp, code, msg, headers, newurl):
+            return None
+
+    return urllib.request.build_opener(Here)
 
 
 class Webhook:
@@ -59,7 +69,7 @@ class Webhook:
         self._change = threading.Condition()
         self._notices: deque[str] = deque(maxlen=100)
         self._ends: float | None = None
-        self._open = urllib.request.build_opener(_Here)
+        self._open = _client()
         self._start()
 
     def _start(self) -> None:
@@ -127,6 +137,9 @@ class Webhook:
 
     def _post(self, body: bytes) -> str:
         """The reason why it could not be sent, for a retry; empty when it was, or was refused for good."""
+        import urllib.error
+        import urllib.request
+
         headers = {"Content-Type": "application/json", "User-Agent": "rotorwatch"}
         try:
             request = urllib.request.Request(self._url, body, headers, method="POST")
