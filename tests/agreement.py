@@ -443,6 +443,13 @@ FIELDS = {
     "flight.hops[]": HIDDEN,
     "flight.hops": HIDDEN,
     "flight.profile": word("the rates"),
+    **{f"fit_to_fly.{name}": every("a step") for name in ("checks", "surer")},
+    "fit_to_fly.word": lambda views, value: (
+        views.shown(report.sentence(value), "the word", screen=False),
+        views.shown(value.upper(), "the word", page=False),
+    ),
+    "causes": HIDDEN,
+    **{f"causes[].{name}": HIDDEN for name in ("name", "rotors", "probability", "evidence")},  # events and reasons, for programs
     "verdict": lambda views, value: (
         views.shown(report.VERDICTS[value], "the verdict", screen=False),
         views.shown(report.VERDICTS[value].upper(), "the verdict", page=False),

@@ -130,7 +130,7 @@ def test_what_an_autopilot_wrote_has_no_long_numbers():
 def test_a_fault(fault):
     made = fault.to_markdown()
     first, what, *_ = made.split("\n\n")
-    assert first == "**✕ Fault found: Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s.**"
+    assert first == "**✕ Do not fly · Fault found: Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s.**"
     assert what == "`hexa.bin` · ardupilot-hexa-x, 6 rotors · ArduPilot · 60 s, airborne 4 to 58 s"
     row = "| loss of effectiveness | rotor 3 (front left) | 31.20 s | 0.36 s | 37 % (33–41 %) | 99.8 % |"
     assert row in made and "![" not in made
@@ -267,7 +267,7 @@ def test_the_command_writes_a_post(quad, run, monkeypatch):
     code_, out, err = run("diagnose", "quad.bin.xz", "--markdown", "out/post.md")
     made = (quad / "out" / "post.md").read_text(encoding="utf-8")
     assert code_ == 0 and "HEALTHY" in out and "post written to out/post.md" in err
-    assert made.startswith("**✓ Healthy: ") and "`quad.bin.xz`" in made and str(quad) not in made
+    assert made.startswith("**✓ Fly · Healthy: ") and "`quad.bin.xz`" in made and str(quad) not in made
     code_, out, err = run("diagnose", quad / "quad.bin.xz", "--markdown", "-", "--quiet")
     again = re.sub(r"!\[.*\n\n", "", made)
     assert (code_, out, err) == (0, again, "")

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.answer import advice, health, ledger, story
+from rotorwatch.answer import advice, fitness, health, ledger, story
 from rotorwatch.answer.findings import Evidence, together
+from rotorwatch.answer.fitness import GRAVE
 from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import SCALE, candidates, grows, headline, interval, listed, percent, rotors, said, seconds, sentence, up_to
 from rotorwatch.engine.events.decisions import MENTIONED, TOTAL_LOSS
-from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine
+from rotorwatch.flight.diagnosis import Event, Fitness, RotorState, StoryLine
 from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
@@ -30,7 +31,6 @@ NOT_A_ROTOR = {
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # notices of no rotor in a headline: the first ones
-GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
 AFTER_S = 5.0  # after a flight with a loss of control, within which reports are its consequence
 ALIKE = 0.05  # bounds of rotors that differ by less point to none
 LANDED_S = 1.5
@@ -45,7 +45,8 @@ LOPSIDED = "may have been weak since take-off"  # compared with any build's vehi
 
 class Conclusion(NamedTuple):
     """verdict, reason, headline: as in the answer. main: index into events of the most important one, or None. rotors: their states.
-    advice: recommended actions, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
+    advice: recommended actions, sentences. events: those that are shown. story: of a loss of control (`story.narrate`). fit_to_fly, causes:
+    as in the answer."""
 
     verdict: str
     reason: str
@@ -55,12 +56,16 @@ class Conclusion(NamedTuple):
     advice: tuple[str, ...]
     events: tuple[Event, ...]
     story: tuple[StoryLine, ...] = ()
+    fit_to_fly: Fitness | None = None
+    causes: tuple[Mapping[str, Any], ...] = ()
 
 
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
     """The answer to a flight. doubts: reasons why the log may not show the real flight; with any, nothing is concluded from its outputs."""
     if doubts:
-        seen = Evidence(ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops)
+        seen = Evidence(
+            ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops, settings=seen.settings
+        )
         said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
     seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
@@ -83,9 +88,12 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
         stays,
         bool(seen.missing),
         _better_log(seen, main, verdict),
+        seen.settings,
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
-    return Conclusion(verdict, reason, first, main, states, next_steps, tuple(seen.events), story_lines)
+    fit, causes = fitness.judge(verdict, seen.events, states, next_steps), () if doubts else fitness.causes(seen, main)
+    steps = next_steps.checks + next_steps.surer
+    return Conclusion(verdict, reason, first, main, states, steps, tuple(seen.events), story_lines, fit, causes)
 
 
 # Verdict and words

@@ -185,6 +185,7 @@ def cli() -> None:
     metavar="[FILE.md]",
 )
 @flag("--identify", "With --markdown: include the serial number, the time of day, and unedited texts of the log.")
+@flag("--line", "Print one line for a forum, without private data.")
 @flag("--verbose", "Print all details: events, other checks, assumptions, blind times.")
 @flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
 @flag("--jsonl", "Print JSON lines: one per log, as soon as it is diagnosed.")
@@ -205,8 +206,8 @@ def diagnose(context, **options) -> None:
 
     request = several.Request(**options)
     findable(request.estimator)
-    if request.as_json and request.jsonl:
-        raise ConfigError("--json and --jsonl exclude each other; give one.")
+    if request.as_json + request.jsonl + request.line > 1:
+        raise ConfigError("--json, --jsonl and --line exclude each other; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to continue it.")
     _check_markdown(request)
@@ -264,6 +265,8 @@ def _diagnose(request: several.Request) -> int:
             say(f"No picture beside {post}: {why}")
     if request.as_json:
         click.echo(result.to_json())
+    elif request.line:
+        click.echo(result.to_line())
     elif request.to_stdout:
         click.echo(result.to_markdown(identify=request.identify), nl=False)
     else:

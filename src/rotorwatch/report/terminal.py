@@ -209,7 +209,7 @@ def _longest_line(text: Text) -> int:
 
 def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
     facts = result.flight
-    text = Text(report.VERDICTS[result.verdict].upper(), style=STYLES[result.verdict])
+    text = Text(report.verdict(result).upper(), style=STYLES[result.verdict])
     text.append("  ").append(result.headline, style="default bold")
     what = [str(facts["name"])] if facts.get("name") else []
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot",) if facts.get(k))]
@@ -217,7 +217,7 @@ def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
     what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
     reason = report.sentence(result.reason)
     known = brief and (bool(result.story) or _said(reason, result.headline))
-    return [Text(" · ".join(what), style="dim"), Text(), text, *_story(result), *([] if known else [Text(reason)])]
+    return [text, Text(" · ".join(what), style="dim"), *_story(result), *([] if known else [Text(reason)])]
 
 
 def _said(reason: str, headline: str) -> bool:
