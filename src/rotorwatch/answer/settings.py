@@ -96,17 +96,16 @@ def lacking(flight: Flight, needed: str = "") -> list[dict]:
 
 
 def advice(flight: Flight) -> str:
-    """A sentence with the settings for the next flight; empty where the log lacks nothing that they would add. A bitmask's whole value is
-    given once, for all signals."""
-    gaps = lacking(flight)
-    values = {found[0]: [] for g in gaps if (found := re.search(r"(LOG_BITMASK|SDLOG_PROFILE) to \d+ \(it is \d+\)", g["setting"]))}
+    """A sentence with the settings for the next log; empty where none would add a signal. A bitmask's whole value is given once, for all
+    signals; one that is set already adds nothing, and of an unknown autopilot no setting is known."""
+    gaps, values = lacking(flight), {}
     for g in gaps:
-        for value, names in values.items():
-            if value in g["setting"]:
-                names.append(g["signal"] + (" faster" if g["present"] else ""))
+        if (found := re.search(r"((?:LOG_BITMASK|SDLOG_PROFILE) to (\d+) \(it is (\d+)\))", g["setting"])) and found[2] != found[3]:
+            values.setdefault(found[1], []).append(g["signal"] + (" faster" if g["present"] else ""))
     if values:
         return f"For the next log set {listed([f'{value}: it adds {listed(names)}' for value, names in values.items()])}."
-    return gaps[0]["setting"] if gaps else ""
+    others = [g for g in gaps if "(it is" not in g["setting"] and not g["setting"].startswith("Log it, or")]
+    return f"{others[0]['why'].partition(':')[0]}: {others[0]['setting']}" if others else ""
 
 
 def _with_values(flight: Flight, gaps: Sequence[dict]) -> list[dict]:
