@@ -24,7 +24,7 @@ from rotorwatch import __version__
 from rotorwatch.base import optional
 from rotorwatch.base.progress import READ, portion
 from rotorwatch.commands import several
-from rotorwatch.commands.offered import Commands
+from rotorwatch.commands.offered import Commands, Group
 from rotorwatch.commands.tools import (
     DEBUG,
     JSON,
@@ -153,7 +153,7 @@ ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "serv
 """Name of a command -> the file that it is in."""
 
 
-@click.group(commands=Commands(ELSEWHERE), context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group, commands=Commands(ELSEWHERE), context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
 @DEBUG
 def cli() -> None:
