@@ -34,6 +34,7 @@ MOST_NOTICES = 3  # notices of no rotor in a headline: the first ones
 AFTER_S = 5.0  # after a flight with a loss of control, within which reports are its consequence
 ALIKE = 0.05  # bounds of rotors that differ by less point to none
 LANDED_S = 1.5
+REPEATS, REGULAR = 3, 0.15  # cut-outs of one rotor; share of their period by which each may differ
 SHORT_S = 20.0  # of flight, below which tenths of a second are shown
 UNJUDGED = "Damage present at take-off was not assessed."
 INVISIBLE = (0.0, 1.0)
@@ -342,10 +343,23 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     if event is None:
         return "There is evidence of a fault, but the log does not show which rotor."
     others = sum(e.means.accuses for e in seen.events) - 1
-    again = f" (the first of {others + 1} events)" if others and event is seen.events[0] else ""
+    again = f" (the first of {others + 1} events{_period(seen, event)})" if others and event is seen.events[0] else ""
     again = again or (f" (one of {others + 1} events)" if others else "")
     about = {"until": _until(seen, event, " until"), "again": again, "stopped": _stopped(seen, event)}
     return sentence(said(event.means.headline, event, seen.places, **about))
+
+
+def _period(seen: Evidence, event: Event) -> str:
+    """How cut-outs of one rotor repeat, in words: their period where they are regular, else the time in which they happened; empty where
+    the events are others."""
+    same = [e for e in seen.events if e.means.accuses]
+    if len(same) < REPEATS or any((e.kind, e.rotors) != (event.kind, event.rotors) or e.end_s is None for e in same):
+        return ""
+    onsets = [e.onset_s for e in same]
+    steps = np.diff(onsets)
+    period = float(np.median(steps))
+    regular = np.abs(steps - period).max() < REGULAR * period
+    return f", one every {period:.1f} s" if regular else f" in {onsets[-1] - onsets[0]:.0f} s"
 
 
 def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
