@@ -568,6 +568,8 @@ FIELDS = {
     "events[].lift": HIDDEN,
     "events[].lift_without_yaw": HIDDEN,
     "events[].shared": HIDDEN,
+    # Of oscillations and steps: in the reason.
+    **{f"events[].{name}": HIDDEN for name in ("axis", "gain", "frequency_hz", "swing", "first_loss", "stepped_s")},
     "events[].unit": word("the unit of a contact"),
     "events[].times": HIDDEN,  # the first in the headline, all in the report's JSON
     "events[].durations": HIDDEN,  # the shortest and the longest in the event's reason

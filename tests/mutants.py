@@ -78,6 +78,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/parameter_ranges.py": ("plausible", "damaged_logs"),
     "logs/px4_*.py": ("logs_px4",),
     "witnesses/battery.py": ("reports", "upset"),
+    "answer/settings.py": ("fitness", "readiness", "cli"),
     "live/reported.py": ("watch_reports", "watch"),
     "logs/ulog*.py": ("logs_px4",),
     "logs/series.py": ("logs_px4", "logs_table", "dataflash"),

@@ -58,6 +58,7 @@ LOST, LACKS, SINKS_S, SANK_M = 0.5, 0.05, 1.0, 2.0  # shares of a rotor's thrust
 USUAL_S = 10.0  # before a loss: the thrust of hover
 GONE, IDLE, IDLE_SHARE, AFTER_S, IDLE_S = 0.8, 0.03, 0.5, 1.0, 3.0  # loss; of the range; of the time; s after the loss; s at least
 SAME_VALUE, CAPPED_S, AT_ONCE = 1e-3, 2.0, 0.3  # of the range; s in all; longest share of the flight: more is an output that stands still
+BELOW, RARER = 1e-2, 3.0  # of the range below a cap, where an output is so many times shorter; a swing stays longer below its top
 
 
 def claims(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, until: float, events: Sequence[Event]) -> tuple[Event, ...]:
@@ -290,8 +291,8 @@ def capped(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
     top = seen.share.max(axis=0)
     highest, flown = float(top.max()), float(seen.lasts.sum())
     at = seen.share >= top - SAME_VALUE
-    total = seen.lasts @ at
-    who = [k for k in np.flatnonzero(np.abs(top - highest) <= SAME_VALUE) if CAPPED_S <= total[k] <= AT_ONCE * flown]
+    total, below = seen.lasts @ at, seen.lasts @ ((seen.share >= top - BELOW - SAME_VALUE) & ~at)
+    who = [k for k in np.flatnonzero(np.abs(top - highest) <= SAME_VALUE) if max(CAPPED_S, RARER * below[k]) <= total[k] <= AT_ONCE * flown]
     if highest >= 1.0 - NEAR or not who:
         return []
     moves = [len(_spells(seen.time, at[:, k])) >= 2 for k in who]  # it comes from below, and returns
