@@ -149,7 +149,7 @@ def explain(why: Exception) -> str:
     return f"Internal error of rotorwatch ({text}); please report it with the output of the same command with --debug."
 
 
-ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "serve": "serve", "watch": "watching"}
+ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "new": "new", "serve": "serve", "watch": "watching"}
 """Name of a command -> the file that it is in."""
 
 

@@ -216,6 +216,15 @@ class Trace:
         pd = optional.library("pandas", "to_pandas")
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time_s"))
 
+    def plot(self, path=None):
+        """A matplotlib figure of the loss of every rotor with its 95 % interval, and of the commands, in %, over time [s]. path: also write
+        it there (.png, .svg, .pdf). Raises ConfigError where matplotlib is not installed."""
+        from rotorwatch.flight.display import Panel, plot
+
+        names = [f"rotor {k + 1}" for k in range(self.loss.shape[1])]
+        losses = Panel("loss [%]", 100.0 * self.loss, names, 100.0 * self.lower, 100.0 * self.upper)
+        return plot(self.time, [losses, Panel("command [%]", 100.0 * self.command, names)], path)
+
     def __repr__(self) -> str:
         span = f", {self.time[0]:.1f} to {self.time[-1]:.1f} s" if len(self.time) else ""
         return f"<Trace: {len(self.time)} ticks of {self.loss.shape[1]} rotors{span}>"
@@ -330,6 +339,14 @@ class Diagnosis:
         from rotorwatch.report import markdown
 
         return markdown.line(self)
+
+    def plot(self, what: str = "auto", path=None):
+        """A matplotlib figure: "moment", attitude and commands around a loss of control or a desync; "flight", the loss of every rotor [%]
+        with its 95 % interval, and the commands, over time [s]; "auto", the moment where there is one. path: also write it there (.png,
+        .svg, .pdf). Raises ConfigError where there is nothing to draw, or no matplotlib."""
+        from rotorwatch.report import still
+
+        return still.figure(self, what, path)
 
     def to_mcap(self, path) -> None:
         """Write the diagnosis as an MCAP file, for Foxglove and PlotJuggler, to `path` (atomically). Raises ConfigError where the package
