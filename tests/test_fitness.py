@@ -16,6 +16,7 @@ from rotorwatch.answer.conclusion import conclude
 from rotorwatch.answer.findings import Evidence
 from rotorwatch.flight.diagnosis import Diagnosis, Trend
 from rotorwatch.flight.kinds import Weight, table
+from rotorwatch.report import html, terminal
 from test_cli import run  # noqa: F401 - a fixture
 
 ROOT = Path(__file__).parents[1]
@@ -81,6 +82,18 @@ def test_the_first_checks_are_the_likeliest_rotors_and_no_more_than_three():
     ({"LOG_BITMASK": 438271.0}, ""),
     ({}, "Motors at 10 Hz: Set LOG_BITMASK bit 0, which adds 1 to its value (RATE at loop rate): the commands are rebuilt from it."),
 ])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "colour"), [("contact", "yellow"), ("little_thrust_left", "yellow"), ("loss_of_control", "red"), (None, "green")]
+)
+def test_a_knock_is_never_green_in_any_view(kind, colour):
+    answer = hexa_diagnosis(events=() if kind is None else (of_kind(kind),))
+    tone = {"yellow": "ambiguous", "red": "fault", "green": "healthy"}[colour]
+    (first, *_) = terminal.diagnosis(answer).renderables
+    assert str(first.style).endswith(colour) and first.plain.startswith(answer.fit_to_fly.word.upper())
+    assert f'<section class="verdict {tone}">' in html.page(answer)
+    assert ("✓" in answer.to_markdown().splitlines()[0]) == (colour == "green")
+
+
 def test_the_settings_are_given_as_a_whole_value(parameters, said):
     flight = rw.read(SAMPLES / "quadx_healthy_hover.bin.xz")
     assert settings.advice(replace(flight, parameters={**flight.parameters, "LOG_BITMASK": -1.0, **parameters})) == said

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import rotorwatch
 from conftest import hexa_diagnosis, hexa_event
+from rotorwatch import report
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Message
@@ -146,7 +147,7 @@ def test_every_verdict_has_a_post(healthy):
     assert {a.verdict for a in answers} == {"healthy", "inconclusive", "ambiguous"}
     for answer in answers:
         made = answer.to_markdown()
-        assert made.startswith(f"**{markdown.SIGNS[answer.verdict]} ") and tables_fit(made)
+        assert made.startswith(f"**{markdown.SIGNS[report.tone(answer)]} ") and tables_fit(made)
         assert replace(answer, trace=None).to_markdown().startswith(made.partition("\n")[0])
 
 

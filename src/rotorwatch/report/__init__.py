@@ -31,6 +31,14 @@ def verdict(diagnosis: Diagnosis) -> str:
     return f"{sentence(fit.word)} · {VERDICTS[diagnosis.verdict]}" if fit else VERDICTS[diagnosis.verdict]
 
 
+TONES = {"fly": "healthy", "look first": "ambiguous", "do not fly": "fault", "cannot say": "inconclusive"}
+
+
+def tone(diagnosis: Diagnosis) -> str:
+    """The verdict whose colour and sign an answer gets: that of its word, so that a healthy flight with a knock is not green."""
+    return TONES[diagnosis.fit_to_fly.word] if diagnosis.fit_to_fly else diagnosis.verdict
+
+
 def steps(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Recommended actions: what to check, and what would make the answer surer."""
     surer = diagnosis.fit_to_fly.surer if diagnosis.fit_to_fly else ()

@@ -102,10 +102,11 @@ def masthead(title: str) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    word = f"{SYMBOLS[diagnosis.verdict]} {report.verdict(diagnosis)}"
+    tone = report.tone(diagnosis)
+    word = f"{SYMBOLS[tone]} {report.verdict(diagnosis)}"
     lists = zip(("What to check", "What would make the answer surer"), report.steps(diagnosis))
     return (
-        f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
+        f'<section class="verdict {escape(tone)}"><div class="word">{escape(word)}</div>'
         f"<h1>{markup.text(diagnosis.headline)}</h1>{_story(diagnosis)}<p>{markup.text(report.sentence(diagnosis.reason))}</p>"
         + "".join(f'<h2>{title}</h2><ul class="advice">{_items(steps)}</ul>' for title, steps in lists if steps)
         + COPY

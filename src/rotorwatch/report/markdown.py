@@ -146,7 +146,7 @@ class _About:
         """Parts in order, some of them empty."""
         d = self.diagnosis
         headline = self.own(d.headline or d.reason, max(size.letters, 160))
-        yield f"**{SIGNS[d.verdict]} {report.verdict(d)}: {headline}**"
+        yield f"**{SIGNS[report.tone(d)]} {report.verdict(d)}: {headline}**"
         yield self._what_flew()
         if picture:
             yield f"![{_alternative(d)}]({quote(picture)})"

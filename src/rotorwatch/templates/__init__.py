@@ -41,7 +41,7 @@ def new(kind: str, name: str, folder: str | os.PathLike = ".") -> Path:
     """Write the beginning of a plug-in into FOLDER/NAME: NAME.py, a sample, test_NAME.py and pyproject.toml.
 
     kind: reader (a log format), method (an estimator) or witness (further evidence). name: of the module, an identifier in small letters.
-    Returns the new folder. Raises ConfigError for another kind or name, and where the folder exists."""
+    folder: created where it is missing. Returns FOLDER/NAME. Raises ConfigError for another kind or name, and where that exists."""
     if kind not in KINDS:
         raise ConfigError(f"There is no template of a {kind}{meant(kind, KINDS)}; give one of {', '.join(KINDS)}.")
     if not (name.isascii() and name.isidentifier() and name.islower()) or keyword.iskeyword(name) or name.startswith("_"):

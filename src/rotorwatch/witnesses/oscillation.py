@@ -42,7 +42,7 @@ WIDTH, PURE = 0.12, 0.9
 SWINGS = 0.1  # of the range, peak to peak: 80 to 100 us
 SLOWEST_BIN = 2  # of a window: slower is its drift
 LEAST_HZ, MOST_HZ, FASTEST_HZ = 1.0, 40.0, 200.0  # frequencies told: slower is flying; rate to which signals are thinned
-WINDOWS = 3  # at least
+WINDOWS, LEAST_SAMPLES = 3, 12  # at least; of a window
 BIN = 1.0 / WINDOW_S
 ASKED_HZ, ASKED = 3.0, 0.3
 register(
@@ -69,13 +69,18 @@ class Line(NamedTuple):
     swing: np.ndarray
     rate: float
 
+    @property
+    def clear(self) -> np.ndarray:
+        """(w, 3) bool: windows in which outputs swing at one frequency."""
+        return (self.pure >= PURE) & (self.swing >= SWINGS)
+
 
 def lines(time: np.ndarray, values: np.ndarray, rate: float, span: tuple[float, float]) -> Line | None:
     """Of a signal (m, k) at about `rate` Hz in one flight; None where it is too short or has gaps."""
     rate = min(rate, FASTEST_HZ)
     n, step = round(WINDOW_S * rate), max(1, round(STEP_S * rate))
     grid = np.arange(span[0], span[1], 1.0 / rate)
-    if n < 12 or grid.size < n or not time.size:
+    if n < LEAST_SAMPLES or grid.size < n or not time.size:
         return None
     even = np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
     starts = np.arange(0, grid.size - n + 1, step)
@@ -121,16 +126,15 @@ def claims(flight: Flight, vehicle: Vehicle, air: Spans, until: float) -> Iterat
     if gyro is None:
         return
     motors, gyro, found = flight["motors"].wholes(), gyro.wholes(), []
-    demand = _demand(motors, vehicle)
-    for start, end in air:
-        span = start + EDGE_S, min(end - EDGE_S, until)
-        outputs = lines(motors.time, demand, motors.rate_hz, span) if span[1] - span[0] > WINDOW_S else None
-        if outputs is None or not ((outputs.pure >= PURE) & (outputs.swing >= SWINGS)).any():
-            continue
+    demand, spans = _demand(motors, vehicle), [(start + EDGE_S, min(end - EDGE_S, until)) for start, end in air]
+    swinging = [(span, one) for span in spans if (one := lines(motors.time, demand, motors.rate_hz, span)) is not None]
+    if max(sum((one.clear.sum(axis=0) for _, one in swinging), np.zeros(3))) < WINDOWS:
+        return  # the usual flight: the rates need not be looked at
+    for span, outputs in swinging:
         moves = lines(gyro.time, gyro.values[:, :3], gyro.rate_hz, span)
         if moves is None:
             continue
-        for w, axis in zip(*np.nonzero((outputs.pure >= PURE) & (outputs.swing >= SWINGS))):
+        for w, axis in zip(*np.nonzero(outputs.clear)):
             at = int(np.argmin(np.abs(moves.start - outputs.start[w])))
             seen, felt = float(outputs.frequency[w, axis]), float(moves.frequency[at, axis])
             f = frequency(seen, outputs.rate, felt, moves.rate) if moves.pure[at, axis] >= PURE else None

@@ -13,7 +13,7 @@ from rotorwatch.toolkit.commands import JSON, LOG, OUT, common, label, option, p
 @click.command(short_help="Score the diagnosis on labelled flights.")
 @click.argument("labels", type=LOG, metavar="LIST")
 @option("--out -o", "Page (.html), flights (.csv) or all results (.json); may be repeated.", type=OUT, metavar="FILE", multiple=True)
-@option("--detector", "Your own detector (docs/evaluate.md#your-own-detector), scored beside rotorwatch.", metavar="FILE.py|MODULE")
+@option("--detector", "Your own detector (docs/evaluate.md#your-own-detector), scored beside rotorwatch.", metavar="FILE|MODULE")
 @spread
 @resumable
 @JSON
@@ -24,7 +24,7 @@ def evaluate(labels, out, detector, jobs, scheduler, keep, as_json, quiet) -> No
 
     \b
     rotorwatch evaluate labels.csv -o page.html
-    rotorwatch evaluate LOGS --detector mine.py -o both.csv
+    rotorwatch evaluate LOGS --detector mine -o both.csv
     """
     from rotorwatch_lab.experiments import evaluate as evaluation
 

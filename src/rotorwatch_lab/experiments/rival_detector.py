@@ -1,4 +1,4 @@
-"""Somebody's own detector beside rotorwatch: a Python file, or a module, that defines `name` and
+"""Somebody's own detector beside rotorwatch: a Python file (with .py or without), or a module, that defines `name` and
 
     detect(flight, vehicle, airborne) -> findings, each a dict with rotor (from 1), time_s (when it was raised) and, if it likes, reason
 
@@ -26,8 +26,9 @@ from rotorwatch.toolkit import airborne
 def load(spec: str) -> Any:
     """The detector that FILE.py or a module's name stands for. Raises ConfigError, one sentence."""
     try:
-        if spec.endswith(".py"):
-            about = importlib.util.spec_from_file_location(Path(spec).stem, spec)
+        path = Path(spec if spec.endswith(".py") else f"{spec}.py")
+        if spec.endswith(".py") or path.exists():
+            about = importlib.util.spec_from_file_location(path.stem, path)
             assert about is not None and about.loader is not None
             found = importlib.util.module_from_spec(about)
             about.loader.exec_module(found)
