@@ -443,6 +443,13 @@ FIELDS = {
     "flight.hops[]": HIDDEN,
     "flight.hops": HIDDEN,
     "flight.profile": word("the rates"),
+    **{f"fit_to_fly.{name}": every("a step") for name in ("checks", "surer")},
+    "fit_to_fly.word": lambda views, value: (
+        views.shown(report.sentence(value), "the word", screen=False),
+        views.shown(value.upper(), "the word", page=False),
+    ),
+    "causes": HIDDEN,
+    **{f"causes[].{name}": HIDDEN for name in ("name", "rotors", "probability", "evidence")},  # events and reasons, for programs
     "verdict": lambda views, value: (
         views.shown(report.VERDICTS[value], "the verdict", screen=False),
         views.shown(report.VERDICTS[value].upper(), "the verdict", page=False),
@@ -561,6 +568,8 @@ FIELDS = {
     "events[].lift": HIDDEN,
     "events[].lift_without_yaw": HIDDEN,
     "events[].shared": HIDDEN,
+    # Of oscillations and steps: in the reason.
+    **{f"events[].{name}": HIDDEN for name in ("axis", "gain", "frequency_hz", "swing", "first_loss", "stepped_s")},
     "events[].unit": word("the unit of a contact"),
     "events[].times": HIDDEN,  # the first in the headline, all in the report's JSON
     "events[].durations": HIDDEN,  # the shortest and the longest in the event's reason

@@ -273,6 +273,8 @@ def hexa_diagnosis(events=None, whole_flight=None, doubts=(), evidence=(), judge
         main=end.main,
         advice=end.advice,
         story=end.story,
+        fit_to_fly=end.fit_to_fly,
+        causes=end.causes,
     )
     return replace(whole, **changes)
 

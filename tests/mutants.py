@@ -80,6 +80,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "logs/parameter_ranges.py": ("plausible", "damaged_logs"),
     "logs/px4_*.py": ("logs_px4",),
     "witnesses/battery.py": ("reports", "upset"),
+    "answer/settings.py": ("fitness", "readiness", "cli"),
     "live/reported.py": ("watch_reports", "watch"),
     "live/channels/*.py": ("watch_alerts",),
     "live/channels/ros2_diagnostics.py": ("ros2_diagnostics",),

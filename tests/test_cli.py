@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -271,6 +272,13 @@ def test_help_of_every_command_is_complete(run):
         assert name in out
         assert run(name, "--help")[0] == 0
         assert all(p.help for p in command.params if isinstance(p, click.Option)), name
+
+
+def test_help_begins_with_what_people_do(run):
+    _, out, _ = run("--help")
+    names = re.findall(r"^  ([a-z-]+)  ", out.partition("Start here:")[2], re.MULTILINE)
+    assert names[:5] == ["diagnose", "info", "watch", "fleet", "serve"] and sorted(names) == sorted(cli.cli.commands)
+    assert names.index("survive") < names.index("evaluate") < names.index("ablate")
 
 
 def test_broken_pipe_is_quiet_and_no_verdict():

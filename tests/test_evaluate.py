@@ -195,3 +195,65 @@ def test_refused_logs_are_said_and_counted(tmp_path, run):
 def test_a_target_of_another_kind_is_refused_before_the_work(tmp_path, run):
     code, _, err = run("evaluate", listed(tmp_path, "a.bin,,"), "-o", tmp_path / "x.pdf")
     assert code == 2 and "ends in .html, .csv or .json" in err
+
+
+# ---------------------------------------------------------------- another detector
+
+MINE = """
+name = "late"
+
+def detect(flight, vehicle, airborne):
+    assert airborne[0][0] < 10.0 and vehicle.rotors
+    if len(vehicle.rotors) == 6:
+        yield {"rotor": 3, "time_s": 50.0}
+"""
+
+
+@pytest.fixture
+def flights(tmp_path):
+    """A folder of the two sample flights, and a detector that finds rotor 3 of the hexarotor at 50 s."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for name in (HEXA, QUAD):
+        (folder / name).symlink_to(cli.SAMPLES / name)
+    (tmp_path / "mine.py").write_text(MINE)
+    return folder
+
+
+def test_a_detector_is_scored_beside_rotorwatch(flights, tmp_path, run):
+    listed(flights, f"{HEXA},3,47.6,0.37", QUAD, head="path,rotor,onset_s,size")
+    code, out, err = run("evaluate", flights, "--detector", tmp_path / "mine.py", "-o", tmp_path / "both.csv", "-q", "--jobs", 1)
+    assert code == 0, err
+    rows = {(row["path"], row["detector"]): row for row in csv.DictReader((tmp_path / "both.csv").open())}
+    assert len(rows) == 4 and {row["outcome"] for key, row in rows.items() if key[0] == QUAD} == {"clean"}
+    own, late = rows[HEXA, "rotorwatch"], rows[HEXA, "late"]
+    assert own["outcome"] == late["outcome"] == "right" and float(late["delay_s"]) == pytest.approx(2.4, abs=0.01)
+    assert float(own["delay_s"]) < 0.5 and float(own["alarm_s"]) < 48.1 and float(late["alarm_s"]) == 50.0 and late["loss"] == ""
+    said = " ".join(out.split())
+    assert "both on 1 of 2 flights, rotorwatch 2.28 s earlier (median)" in said and "late 100 % (21 to 100)" in said
+
+
+def test_a_folder_without_labels_is_compared_and_not_counted(flights, tmp_path):
+    result = evaluate.evaluate(flights, jobs=1, detector=str(tmp_path / "mine.py"))
+    assert {row["outcome"] for row in result["flights"]} == {"unknown"} and len(result["flights"]) == 4
+    assert result["summary"]["faults"] == result["summary"]["healthy"] == 0 and result["summary"]["false_alarms_h"] is None
+    assert dict(evaluate.first(result["flights"]))["alarms"].startswith("both on 1 of 2 flights")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match=r"neither labels.csv nor a flight log"):
+        labels.read(tmp_path / "empty")
+
+
+@pytest.mark.parametrize(("text", "says"), [
+    ("name = 'x'", "defines no detect"), ("1 / 0", "cannot be loaded: ZeroDivisionError"),
+    ("name = 'x'\ndef detect(*a): return [{'rotor': 9, 'time_s': 1.0}]", "found rotor 9"),
+    ("name = 'x'\ndef detect(*a): raise ValueError('no')", "x failed on"),
+])  # fmt: skip
+def test_a_bad_detector_is_one_sentence(flights, tmp_path, text, says):
+    (tmp_path / "bad.py").write_text(text)
+    rule = str(tmp_path / "bad.py")
+    try:
+        result = evaluate.evaluate([{"path": str(cli.SAMPLES / QUAD)}], jobs=1, detector=rule)
+    except ConfigError as why:
+        assert says in str(why)
+    else:
+        assert says in result["flights"][0]["sentence"]

@@ -163,7 +163,7 @@ def test_aircraft_are_listed_shown_renamed_and_serviced(call, folder, quick):
     assert code == 0 and rows["total"] == 3 and {r["aircraft_name"] for r in rows["flights"]} == {"quad 7"}
     code, out, _ = call("service", "quad 7", "new propeller", "--rotor", "3", "--after", rows["flights"][1]["hash"][:10])
     assert code == 0 and out.startswith("quad 7: rotor 3, new propeller")
-    code, _, err = call("service", "quad 7", "new propeller", "--at", "yesterday")
+    code, _, err = call("service", "quad 7", "new propeller", "--at", "last week")
     assert code == 2 and "2026-05-01" in err
     code, out, _ = call("show", "QUAD 7")
     assert code == 0 and "service before flight 3: rotor 3, new propeller" in out and "3 of 3 flights were used" in out
@@ -413,3 +413,70 @@ def test_a_flight_that_is_deleted_while_all_are_judged_again(three, monkeypatch,
     with Store(tmp_path / "fleet.db") as store:
         count, _ = add.rejudge(store, every=True, jobs=1)
         assert count == 2 and store.count() == 2
+
+
+# Alerts
+
+
+def test_a_faulty_flight_that_comes_is_alerted_and_its_aircraft_once(folder, quick, tmp_path):
+    alerts, looks = [], iter(range(9))
+
+    def stop():
+        look = next(looks)
+        if look in (2, 5):  # two faulty flights of an aircraft that was healthy
+            quick["verdict"] = "fault"
+            (folder / f"new-{look}.bin").write_bytes(SAMPLE + b"new" * look)
+        return look == 8
+
+    with Store(tmp_path / "fleet.db") as store:
+        add.follow(store, [folder], poll_s=0.0, stop=stop, alert=alerts.append)
+        name = store.aircraft()[0]["name"]
+    assert [(a["type"], a.get("log", a.get("state"))) for a in alerts] == [
+        ("flight", "new-2.bin"), ("aircraft", "fault"), ("flight", "new-5.bin")
+    ]  # fmt: skip
+    assert {a["aircraft"] for a in alerts} == {name} and alerts[1]["was"] == "healthy" and alerts[1]["headline"]
+    assert alerts[0]["verdict"] == "fault" and alerts[0]["headline"]
+
+
+def test_the_command_posts_alerts(call, folder, quick, tmp_path, monkeypatch):
+    posted = []
+
+    class Posts(SimpleHTTPRequestHandler):
+        def do_POST(self):
+            posted.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *args):
+            pass
+
+    def follow(store, folders, *args, alert, **more):
+        alert({"type": "aircraft", "aircraft": "quad 7", "state": "fault", "was": "healthy", "headline": "Rotor 3 is worn."})
+
+    monkeypatch.setattr(add, "follow", follow)
+    with ThreadingHTTPServer(("127.0.0.1", 0), Posts) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        code, _, err = call("add", folder, "--follow", "--webhook", f"http://127.0.0.1:{server.server_port}/in")
+        server.shutdown()
+    assert code == 0 and [p["aircraft"] for p in posted] == ["quad 7"]
+    assert "quad 7 is fault now, it was healthy: Rotor 3 is worn." in err
+    assert "begins with http" in call("add", folder, "--follow", "--webhook", "nowhere")[2]
+
+
+def test_flights_since_yesterday(call, folder, quick):
+    call("add", folder)
+    code, out, _ = call("list", "--since", "yesterday")
+    assert code == 0 and "0 of 0 flights" in out
+    assert "or yesterday" in call("list", "--since", "last week")[2]
+
+
+def test_red_aircraft_come_first_in_colour_on_the_page(call, folder, quick, tmp_path):
+    call("add", folder / "a.bin", "--aircraft", "a fine one")
+    quick["verdict"] = "fault"
+    call("add", folder / "b.bin", "--aircraft", "the bad one")
+    call("list")
+    call("add", folder / "below" / "c.bin", "--aircraft", "the bad one")
+    call("report", "-o", tmp_path / "pages")
+    index = (tmp_path / "pages" / "index.html").read_text()
+    assert 'class="of-fault"' in index
+    assert index.index("the bad one") < index.index("a fine one") and "1 fault" in index and "width=device-width" in index

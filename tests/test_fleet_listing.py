@@ -129,7 +129,7 @@ def test_flights_are_filtered(listed, filters, wanted):
         ({"sort": "--date"}, "choose from"),
         ({"sort": ""}, "choose from"),
         ({"verdict": "fault,broken"}, "verdict broken: choose from healthy"),
-        ({"since": "yesterday"}, "since yesterday: give a day"),
+        ({"since": "last week"}, "since last week: give a day"),
         ({"until": "9999-12-31"}, "until 9999-12-31: give a day"),
         ({"until": "2026-13-01"}, "give a day"),
         ({"min_loss": "10"}, "0.1 for 10 %"),

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import rotorwatch
 from conftest import hexa_diagnosis, hexa_event
+from rotorwatch import report
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Message
@@ -130,7 +131,7 @@ def test_what_an_autopilot_wrote_has_no_long_numbers():
 def test_a_fault(fault):
     made = fault.to_markdown()
     first, what, *_ = made.split("\n\n")
-    assert first == "**✕ Fault found: Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s.**"
+    assert first == "**✕ Do not fly · Fault found: Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s.**"
     assert what == "`hexa.bin` · ardupilot-hexa-x, 6 rotors · ArduPilot · 60 s, airborne 4 to 58 s"
     row = "| loss of effectiveness | rotor 3 (front left) | 31.20 s | 0.36 s | 37 % (33–41 %) | 99.8 % |"
     assert row in made and "![" not in made
@@ -146,7 +147,7 @@ def test_every_verdict_has_a_post(healthy):
     assert {a.verdict for a in answers} == {"healthy", "inconclusive", "ambiguous"}
     for answer in answers:
         made = answer.to_markdown()
-        assert made.startswith(f"**{markdown.SIGNS[answer.verdict]} ") and tables_fit(made)
+        assert made.startswith(f"**{markdown.SIGNS[report.tone(answer)]} ") and tables_fit(made)
         assert replace(answer, trace=None).to_markdown().startswith(made.partition("\n")[0])
 
 
@@ -267,7 +268,7 @@ def test_the_command_writes_a_post(quad, run, monkeypatch):
     code_, out, err = run("diagnose", "quad.bin.xz", "--markdown", "out/post.md")
     made = (quad / "out" / "post.md").read_text(encoding="utf-8")
     assert code_ == 0 and "HEALTHY" in out and "post written to out/post.md" in err
-    assert made.startswith("**✓ Healthy: ") and "`quad.bin.xz`" in made and str(quad) not in made
+    assert made.startswith("**✓ Fly · Healthy: ") and "`quad.bin.xz`" in made and str(quad) not in made
     code_, out, err = run("diagnose", quad / "quad.bin.xz", "--markdown", "-", "--quiet")
     again = re.sub(r"!\[.*\n\n", "", made)
     assert (code_, out, err) == (0, again, "")

@@ -12,7 +12,7 @@ from rotorwatch.answer import ledger
 from rotorwatch.engine.motion.allocation import drive
 from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
+from rotorwatch.flight.kinds import AT_LIMIT, CAPPED, EXHAUSTED, GIVEN_UP, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.witnesses.healthy import outputs
 
@@ -169,3 +169,54 @@ def test_why_a_vehicle_sank_without_a_rotor():
 @pytest.mark.parametrize("how", [(1.0, True, 3.0), (0.6, False, 3.0), (0.6, True, -1.0), (0.6, True, 0.1)], ids=str)
 def test_a_descent_that_carries_the_weight_or_is_none_is_not(how):
     assert sinking(*how) == []
+
+
+def plateaus(cap, motors, seconds=1.0, every=10.0):
+    """Outputs of these motors that reach `cap` of their range for so long, again and again, and swing below it."""
+    share = np.full((TIME.size, 4), 0.5) + 0.05 * np.sin(TIME[:, None] * (1.0, 1.1, 1.2, 1.3))
+    at = (TIME % every < seconds) & (TIME > 9.0)
+    for k in motors:
+        share[at, k - 1] = cap
+    return share
+
+
+def shares(share):
+    flown = flight(QUAD, 0.5)
+    motors = flown["motors"]
+    return replace(flown, signals={**flown.signals, "motors": replace(motors, values=share)})
+
+
+@pytest.mark.parametrize(("cap", "motors"), [(0.75, (1, 2, 3, 4)), (0.8, (2,))])
+def test_a_cap_is_told_as_a_cap(cap, motors):
+    (event,) = outputs.capped(shares(plateaus(cap, motors)), QUAD, AIR)
+    assert event.kind == CAPPED and event.extra["motors"] == list(motors) and event.extra["output"] == pytest.approx(cap)
+    assert f"never exceeded {100 * cap:.0f} %" in event.reason and event.extra["seconds"] >= outputs.CAPPED_S
+
+
+@pytest.mark.parametrize("share", [
+    plateaus(0.98, (1, 2)), plateaus(0.75, (1, 2), seconds=0.2), plateaus(0.75, (1, 2), seconds=9.0), plateaus(0.75, ()),
+    plateaus(0.75, (1, 2), seconds=3.0, every=40.0),
+], ids=["at the limit", "too short", "stands still", "never", "once"])  # fmt: skip
+def test_what_is_no_cap(share):
+    assert outputs.capped(shares(share), QUAD, AIR) == []
+
+
+def test_the_output_that_the_mixer_gives_up_is_told_and_not_accused():
+    """Motors 3 and 4 of a hexa X are opposite."""
+    lost = hexa_event(rotors=(3,), onset_s=30.0, end_s=None, loss=(1.0,), interval=((0.95, 1.0),))
+    share = np.full((TIME.size, 6), 0.5)
+    share[TIME >= 30.0] = (0.5, 0.5, 0.95, 0.0, 0.5, 0.5)
+    (event,) = outputs.given_up(flight(HEXA, share), HEXA, (lost,))
+    assert event.kind == GIVEN_UP and event.extra["motors"] == [4] and not event.rotors and "rotor 3 gives nothing" in event.reason
+    share[TIME >= 30.0] = (0.5, 0.5, 0.95, 0.1, 0.5, 0.5)
+    assert outputs.given_up(flight(HEXA, share), HEXA, (lost,)) == []
+    share[:, 3] = 0.0  # it was off before
+    assert outputs.given_up(flight(HEXA, share), HEXA, (lost,)) == []
+
+
+@pytest.mark.parametrize("change", [{"loss": (0.5,)}, {"alternatives": ((4,),)}, {"end_s": 32.0}, {"extra": {"gives": 1.2}}], ids=str)
+def test_only_a_certain_lasting_total_loss_explains_it(change):
+    lost = hexa_event(**{"rotors": (3,), "onset_s": 30.0, "end_s": None, "loss": (1.0,), "interval": ((0.95, 1.0),)} | change)
+    share = np.full((TIME.size, 6), 0.5)
+    share[TIME >= 30.0] = (0.5, 0.5, 0.95, 0.0, 0.5, 0.5)
+    assert outputs.given_up(flight(HEXA, share), HEXA, (lost,)) == []

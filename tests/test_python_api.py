@@ -1,7 +1,11 @@
 """What flights and answers show of themselves in Python and in notebooks, and estimators given as objects."""
 
 import functools
+import inspect
+import pydoc
+import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +15,9 @@ from conftest import hexa_diagnosis
 from rotorwatch.base import discovery
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch_lab.estimators.akf import AKF
+
+ROOT = Path(__file__).parents[1]
+SAMPLES = ROOT / "src/rotorwatch/samples"
 
 
 def small_flight(**changes):
@@ -162,3 +169,30 @@ def test_a_name_that_is_nearly_right_is_shown_the_right_one():
 def test_everything_that_can_be_asked_for_is_listed():
     assert {"diagnose", "campaign", "detectors", "systems", "fleet", "logs", "gathering"} <= set(dir(rw))
     assert all(hasattr(rw, name) for name in dir(rw))
+
+
+@pytest.mark.parametrize("name", ["diagnose", "diagnose_many", "info", "calibrate", "evaluate", "inject"])
+def test_help_begins_with_the_function_and_its_arguments(name):
+    """Not with the classes and imports of its module."""
+    text = pydoc.render_doc(getattr(rw, name), renderer=pydoc.plaintext)
+    function = getattr(rw, name).__wrapped__
+    assert "CLASSES" not in text and f"\n    {name}(" in text
+    said = inspect.getdoc(function)
+    assert all(re.search(rf"\b{p}\b", said) for p in inspect.signature(function).parameters), f"{name}: an argument is not explained"
+
+
+def test_series_and_answers_plot_themselves(tmp_path):
+    flight = rw.read(SAMPLES / "quadx_healthy_hover.bin.xz")
+    answer = rw.diagnose(flight)
+    for made, lines in ((flight["gyro"].plot(tmp_path / "gyro.png"), 3), (answer.trace.plot(), 4), (answer.plot(), 4)):
+        assert len(made.axes[0].lines) == lines and "[s]" in made.axes[-1].get_xlabel()
+    assert (tmp_path / "gyro.png").read_bytes().startswith(b"\x89PNG") and "rad/s" in flight["gyro"].plot().axes[0].get_ylabel()
+    lines = {line.get_label(): line for line in answer.trace.plot().axes[0].lines}
+    np.testing.assert_allclose(lines["rotor 2"].get_ydata(), 100.0 * answer.trace.loss[:, 1])
+
+
+def test_dir_lists_the_whole_interface_and_nothing_else():
+    page = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    documented = {name for row in re.findall(r"^\| (`.*?`) \|", page, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
+    assert documented <= set(dir(rw)) and {"new", "fit_odds"} <= documented
+    assert not {"Any", "ModuleType", "TYPE_CHECKING", "annotations", "sys", "_VERBS"} & set(dir(rw))

@@ -28,6 +28,7 @@ _HOMES = {
     "airborne": "engine.motion.air_spans",
     "serve": "serve.server",
     "mcp": "assistants.mcp_server",
+    "new": "templates",
     "Flight": "flight",
     "Message": "flight",
     "Signal": "flight",
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
     from rotorwatch.logs import read as read
     from rotorwatch.report.info import info as info
     from rotorwatch.serve.server import serve as serve
+    from rotorwatch.templates import new as new
 
     # Types of the entry points `rotorwatch.api` of our own wheel: nothing is imported at run time.
     from rotorwatch_lab.compiling.run import run as run
@@ -106,12 +108,19 @@ class _Verb(ModuleType):
             raise
 
 
+def _callable(module: ModuleType) -> None:
+    """Make a module a verb, of which `help` shows its functions alone, the arguments first and not its imports."""
+    own = [n for n, f in vars(module).items() if not n.startswith("_") and getattr(f, "__module__", "") == module.__name__]
+    module.__dict__.setdefault("__all__", [n for n in own if not isinstance(getattr(module, n), type)])
+    module.__class__ = _Verb
+
+
 class _Package(ModuleType):
     """The import system sets each loaded submodule as an attribute here; verbs become callable at that moment."""
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in _VERBS and type(value) is ModuleType:
-            value.__class__ = _Verb
+            _callable(value)
         super().__setattr__(name, value)
 
 
@@ -141,7 +150,7 @@ def _offered(name: str) -> Any:
 
     found = discovery.api(name)
     if type(found) is ModuleType and hasattr(found, found.__name__.rpartition(".")[2]):
-        found.__class__ = _Verb
+        _callable(found)
     return found
 
 
@@ -151,7 +160,8 @@ def __dir__() -> list[str]:
     from rotorwatch.base import discovery
 
     own = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
-    return sorted({*globals(), *__all__, *_SHORT, *own, *discovery.offered("rotorwatch.api")})
+    loaded = (n for n in globals() if n.startswith("__"))
+    return sorted({*loaded, *__all__, *_SHORT, *own, *discovery.offered("rotorwatch.api")})
 
 
 sys.modules[__name__].__class__ = _Package

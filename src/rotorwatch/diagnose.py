@@ -186,6 +186,7 @@ def _diagnosis(case: Case, answer: Answer, clock: _Clock, **more) -> Diagnosis:
         flight=_facts(flight, craft, case.air, case.table), verdict=end.verdict, reason=end.reason, rotors=end.rotors, events=end.events,
         baseline=case.source, assumptions=(*case.assumptions, *answer.assumptions), warnings=(*case.warnings, *answer.warnings),
         timing=clock.stop(), headline=end.headline, main=end.main, advice=end.advice, story=end.story,
+        fit_to_fly=end.fit_to_fly, causes=end.causes,
         picture=picture.compose(flight, craft, end.events, end.main, case.air), aircraft=identity.identify(flight).text,
         doubts=answer.doubts, balance=balance, **{"common_mode": {}, **more},
     )  # fmt: skip

@@ -126,6 +126,10 @@ class Estimates:
         with files.replacing(path) as unfinished:
             unfinished.write_text(methods.page(self), encoding="utf-8")
 
+    def plot(self, path: str | PathLike | None = None) -> Any:
+        """The same as `figure`."""
+        return self.figure(path)
+
     def figure(self, path: str | PathLike | None = None) -> Any:
         """The losses of every method with its interval or bound, one over the other, as a matplotlib figure; written to `path` (.png, .svg,
         .pdf) when given. Raises ConfigError where matplotlib is not installed."""

@@ -16,6 +16,8 @@ findings.py     the input to the conclusion
 conclusion.py   verdict, reason, headline, main event, state of every rotor
 by_method.py    an answer by a published method, with its own losses and intervals
 advice.py       recommended actions
+fitness.py      whether to fly again, and what explains the answer
+settings.py     signals that a log lacks, and the settings that log them
 common_mode.py  change of the thrust that all rotors together need
 context.py      position, speed, battery, vibration: data that no verdict depends on
 traces.py       time series for the plots of a flight

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.answer import advice, health, ledger, story
+from rotorwatch.answer import advice, fitness, health, ledger, story
 from rotorwatch.answer.findings import Evidence, together
+from rotorwatch.answer.fitness import GRAVE
 from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import SCALE, candidates, grows, headline, interval, listed, percent, rotors, said, seconds, sentence, up_to
 from rotorwatch.engine.events.decisions import MENTIONED, TOTAL_LOSS
-from rotorwatch.flight.diagnosis import Event, RotorState, StoryLine, Trend
+from rotorwatch.flight.diagnosis import Event, Fitness, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
 
 # Causes of a loss of control that clear the rotors, in words that follow "when".
@@ -30,10 +31,10 @@ NOT_A_ROTOR = {
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # notices of no rotor in a headline: the first ones
-GRAVE = ("power", "crash", "stopped")  # troubles that end a flight: they lead where no fault is found
 AFTER_S = 5.0  # after a flight with a loss of control, within which reports are its consequence
 ALIKE = 0.05  # bounds of rotors that differ by less point to none
 LANDED_S = 1.5
+REPEATS, REGULAR = 3, 0.15  # cut-outs of one rotor; share of their period by which each may differ
 SHORT_S = 20.0  # of flight, below which tenths of a second are shown
 UNJUDGED = "Damage present at take-off was not assessed."
 INVISIBLE = (0.0, 1.0)
@@ -45,7 +46,8 @@ LOPSIDED = "may have been weak since take-off"  # compared with any build's vehi
 
 class Conclusion(NamedTuple):
     """verdict, reason, headline: as in the answer. main: index into events of the most important one, or None. rotors: their states.
-    advice: recommended actions, sentences. events: those that are shown. story: of a loss of control (`story.narrate`)."""
+    advice: recommended actions, sentences. events: those that are shown. story: of a loss of control (`story.narrate`). fit_to_fly, causes:
+    as in the answer."""
 
     verdict: str
     reason: str
@@ -55,12 +57,16 @@ class Conclusion(NamedTuple):
     advice: tuple[str, ...]
     events: tuple[Event, ...]
     story: tuple[StoryLine, ...] = ()
+    fit_to_fly: Fitness | None = None
+    causes: tuple[Mapping[str, Any], ...] = ()
 
 
 def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
     """The answer to a flight. doubts: reasons why the log may not show the real flight; with any, nothing is concluded from its outputs."""
     if doubts:
-        seen = Evidence(ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops)
+        seen = Evidence(
+            ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops, settings=seen.settings
+        )
         said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
     seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
@@ -83,9 +89,12 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
         stays,
         bool(seen.missing),
         _better_log(seen, main, verdict),
+        seen.settings,
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
-    return Conclusion(verdict, reason, first, main, states, next_steps, tuple(seen.events), story_lines)
+    fit, causes = fitness.judge(verdict, seen.events, states, next_steps), () if doubts else fitness.causes(seen, main)
+    steps = next_steps.checks + next_steps.surer
+    return Conclusion(verdict, reason, first, main, states, steps, tuple(seen.events), story_lines, fit, causes)
 
 
 # Verdict and words
@@ -334,10 +343,23 @@ def _matter(seen: Evidence, verdict: str, main: int | None) -> str:
     if event is None:
         return "There is evidence of a fault, but the log does not show which rotor."
     others = sum(e.means.accuses for e in seen.events) - 1
-    again = f" (the first of {others + 1} events)" if others and event is seen.events[0] else ""
+    again = f" (the first of {others + 1} events{_period(seen, event)})" if others and event is seen.events[0] else ""
     again = again or (f" (one of {others + 1} events)" if others else "")
     about = {"until": _until(seen, event, " until"), "again": again, "stopped": _stopped(seen, event)}
     return sentence(said(event.means.headline, event, seen.places, **about))
+
+
+def _period(seen: Evidence, event: Event) -> str:
+    """How cut-outs of one rotor repeat, in words: their period where they are regular, else the time in which they happened; empty where
+    the events are others."""
+    same = [e for e in seen.events if e.means.accuses]
+    if len(same) < REPEATS or any((e.kind, e.rotors) != (event.kind, event.rotors) or e.end_s is None for e in same):
+        return ""
+    onsets = [e.onset_s for e in same]
+    steps = np.diff(onsets)
+    period = float(np.median(steps))
+    regular = np.abs(steps - period).max() < REGULAR * period
+    return f", one every {period:.1f} s" if regular else f" in {onsets[-1] - onsets[0]:.0f} s"
 
 
 def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:

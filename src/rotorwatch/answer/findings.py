@@ -26,7 +26,8 @@ class Evidence(NamedTuple):
     (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown for rotors without suspicion,
     or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end. matters: loss
     of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the last judged
-    tick [s]; blind_s: time after each take-off in which trim and noise are learned [s]."""
+    tick [s]; blind_s: time after each take-off in which trim and noise are learned [s]. settings: a sentence on those that log what this
+    log lacks."""
 
     events: Sequence[Event]
     n: int
@@ -43,6 +44,7 @@ class Evidence(NamedTuple):
     unjudged: Unjudged = UNKNOWN
     judged_until: float = np.inf
     blind_s: float = 0.0
+    settings: str = ""
 
     @property
     def start(self) -> str:

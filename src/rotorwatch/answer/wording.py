@@ -228,19 +228,24 @@ def said(words: Words | str, event: Event, places: Sequence[str] = (), **more: s
 
 
 def lost(event: Event, what: str = "") -> str:
-    """'lost 37 % (33-41 %)' and `what`; the thrust of a rotor that follows no command."""
+    """'lost 37 % (33-41 %)' and `what`; the thrust of a rotor that follows no command; the first size of a loss that grew in a step."""
     gives = event.extra.get("gives")
+    if gives is None and "first_loss" in event.extra:
+        return f"lost {percent(event.extra['first_loss'])}{what}"
     if gives is None:
         return f"lost {losses(event)}{what}"
     return f"stopped following its command (stuck at {gives:.1f} times hover thrust)"
 
 
 def when(event: Event) -> str:
-    """'at 41.20 s'; 'from 41.20 s' of a loss that ended; 'gradually from 41.20 s to 65.00 s' of a loss that grew."""
+    """'at 41.20 s'; 'from 41.20 s' of a loss that ended; 'gradually from 41.20 s to 65.00 s' of a loss that grew;
+    'at 29.95 s, and 100 % (89–100 %) from 50.04 s on' of one that grew in a step."""
     grew = event.extra.get("grew_until_s")
     at = seconds(event.onset_s)
     if grew is not None:
         return f"gradually from {at} to {seconds(grew)}"
+    if "stepped_s" in event.extra:
+        return f"at {at}, and {losses(event)} from {seconds(event.extra['stepped_s'])}{' on' if event.end_s is None else ''}"
     return f"at {at}" if event.end_s is None else f"from {at}"
 
 

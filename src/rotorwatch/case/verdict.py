@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.answer import conclusion, health, places, unjudged, unseen, wording
+from rotorwatch.answer import conclusion, health, places, settings, unjudged, unseen, wording
 from rotorwatch.answer.unjudged import Unjudged
 from rotorwatch.base.arrays import median
 from rotorwatch.case.estimated import Estimated
@@ -78,7 +78,7 @@ def conclude(case: Case, claims: Claims, known: Bounds, air: Spans) -> Answer:
     seen = conclusion.Evidence(
         claims.events, case.B.shape[1], known.hidden, known.pair, known.judged_s, claims.open, places.names(case.vehicle.rotors), air,
         trends, case.hovers and "whole_flight" not in claims.facts, missing, case.matters, judged_until=known.judged_until,
-        blind_s=known.blind_s,
+        blind_s=known.blind_s, settings=settings.advice(case.flight) if done is not None else "",
     )  # fmt: skip
     if done is not None:
         seen = _explained(case, seen, doubts)
@@ -105,7 +105,9 @@ def of_no_flight(case: Case, claims: Claims) -> Answer:
     """The answer to a log without ticks."""
     n, never = case.B.shape[1], sorted({rotor for gap in case.missing for rotor in gap.rotors})
     why = _unflown(case, never)
-    seen = conclusion.Evidence(claims.events, n, places=places.names(case.vehicle.rotors), hops=case.air, unjudged=why)
+    seen = conclusion.Evidence(
+        claims.events, n, places=places.names(case.vehicle.rotors), hops=case.air, unjudged=why, settings=settings.advice(case.flight)
+    )
     wrong = any(e.means.wrong for e in claims.events)
     return Answer(conclusion.conclude(seen), () if wrong else (why.why,))
 

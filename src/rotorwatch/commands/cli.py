@@ -24,7 +24,7 @@ from rotorwatch import __version__
 from rotorwatch.base import optional
 from rotorwatch.base.progress import READ, portion
 from rotorwatch.commands import several
-from rotorwatch.commands.offered import Commands
+from rotorwatch.commands.offered import Commands, Group
 from rotorwatch.commands.tools import (
     DEBUG,
     JSON,
@@ -149,11 +149,11 @@ def explain(why: Exception) -> str:
     return f"Internal error of rotorwatch ({text}); please report it with the output of the same command with --debug."
 
 
-ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "serve": "serve", "watch": "watching"}
+ELSEWHERE = {"export-c": "export", "fleet": "fleet_flights", "mcp": "mcp", "new": "new", "serve": "serve", "watch": "watching"}
 """Name of a command -> the file that it is in."""
 
 
-@click.group(commands=Commands(ELSEWHERE), context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Group, commands=Commands(ELSEWHERE), context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="rotorwatch", message="%(prog)s %(version)s")
 @DEBUG
 def cli() -> None:
@@ -186,6 +186,7 @@ def cli() -> None:
     metavar="[FILE.md]",
 )
 @flag("--identify", "With --markdown: include the serial number, the time of day, and unedited texts of the log.")
+@flag("--line", "Print one line for a forum, without private data.")
 @flag("--verbose", "Print all details: events, other checks, assumptions, blind times.")
 @flag("--json as_json", "Print JSON (docs/json.md): an object, or a list for several logs.")
 @flag("--jsonl", "Print JSON lines: one per log, as soon as it is diagnosed.")
@@ -206,8 +207,8 @@ def diagnose(context, **options) -> None:
 
     request = several.Request(**options)
     findable(request.estimator)
-    if request.as_json and request.jsonl:
-        raise ConfigError("--json and --jsonl exclude each other; give one.")
+    if request.as_json + request.jsonl + request.line > 1:
+        raise ConfigError("--json, --jsonl and --line exclude each other; give one.")
     if (request.out or request.resume) and not (request.jsonl and request.out):
         raise ConfigError("--out and --resume belong to --jsonl: write --jsonl -o FILE, and --resume to continue it.")
     _check_markdown(request)
@@ -267,6 +268,8 @@ def _diagnose(request: several.Request) -> int:
             say(f"No picture beside {post}: {why}")
     if request.as_json:
         click.echo(result.to_json())
+    elif request.line:
+        click.echo(result.to_line())
     elif request.to_stdout:
         click.echo(result.to_markdown(identify=request.identify), nl=False)
     else:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NoReturn
 
@@ -16,6 +16,7 @@ from rotorwatch.errors import ConfigError
 
 ADDED, FAILED = 0, 2
 REFUSED_SHOWN = 5  # names in a line
+STYLES = {"fault": "bold red", "crashed": "bold red", "suspect": "yellow", "ambiguous": "yellow", "healthy": "green"}
 JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
 
 
@@ -54,10 +55,13 @@ def fleet() -> None:
 @option("--vehicle", "Vehicle file (TOML), for logs that do not name their frame.", type=LOG, metavar="FILE")
 @flag("--follow", "Then watch the folders and add new logs until interrupted.")
 @option("--mqtt", "Publish new flights and the state of each aircraft to this MQTT broker.", metavar="URL", envvar="ROTORWATCH_MQTT")
+@option(
+    "--webhook", "With --follow: POST an alert as JSON to this address (docs/fleet.md#alerts).", metavar="URL", envvar="ROTORWATCH_WEBHOOK"
+)
 @spread
 @_store(make=True)
 @common
-def add(store, logs, aircraft, vehicle, follow, mqtt, jobs, scheduler, quiet) -> None:
+def add(store, logs, aircraft, vehicle, follow, mqtt, webhook, jobs, scheduler, quiet) -> None:
     """Diagnose every LOG, and all logs in every DIR, that the store does not have yet (by content), and assess each aircraft.
 
     After an interruption, even a lost database, the same command resumes. Exit code: 0, or 2 when a log could not be diagnosed; one in
@@ -86,6 +90,10 @@ def add(store, logs, aircraft, vehicle, follow, mqtt, jobs, scheduler, quiet) ->
         if broker:
             broker.aircraft(store)
 
+    from rotorwatch.live.channels import webhook as posts
+
+    if webhook and follow:
+        posts.checked(webhook)
     with progress(quiet or not live()) as report:
         outcomes, others = run.add(store, logs, aircraft, known, tell, report, jobs, scheduler)
         if any(a["stale"] for a in store.aircraft()):
@@ -105,8 +113,22 @@ def add(store, logs, aircraft, vehicle, follow, mqtt, jobs, scheduler, quiet) ->
     if follow:
         if not quiet:
             say(f"watching {', '.join(map(str, folders))}; Ctrl-C stops it")
-        run.follow(store, folders, aircraft, known, tell, say, assessed=assessed)
+        outlet = posts.Webhook(webhook, say) if webhook else None
+        try:
+            run.follow(store, folders, aircraft, known, tell, say, assessed=assessed, alert=lambda told: _alert(told, outlet))
+        finally:
+            if outlet:
+                outlet.leave()
     click.get_current_context().exit(FAILED if count["failed"] else ADDED)
+
+
+def _alert(told: Mapping, outlet) -> None:
+    """Print and post an alert of `fleet.add.follow`."""
+    if told["type"] == "aircraft":
+        say(f"{told['aircraft']} is {told['state']} now, it was {told['was']}: {told['headline']}")
+    if outlet:
+        outlet.take(dict(told))
+        outlet.step()
 
 
 def _say_refused(names: list[str]) -> None:
@@ -314,10 +336,15 @@ def export(store, out, quiet) -> None:
 
 
 def table(
-    title: str, head: tuple[str, ...], rows: list[tuple[str, ...]], right: tuple[int, ...] = (), wide: tuple[int, ...] = (-1,)
+    title: str,
+    head: tuple[str, ...],
+    rows: list[tuple[str, ...]],
+    right: tuple[int, ...] = (),
+    wide: tuple[int, ...] = (-1,),
+    styles: Mapping[str, str] = {},
 ) -> None:
-    """A table that fits the terminal. right: columns of numbers; wide: columns that are wrapped."""
+    """A table that fits the terminal. right: columns of numbers; wide: columns that are wrapped; styles: of cells of these words."""
     from rich.text import Text
 
-    clean = [[Text(re.sub(r"[\x00-\x1f\x7f]", " ", str(cell))) for cell in row] for row in rows]
+    clean = [[Text(re.sub(r"[\x00-\x1f\x7f]", " ", str(cell)), style=styles.get(str(cell), "")) for cell in row] for row in rows]
     show(lambda terminal: terminal.Fitted(title, head, clean, right, wide))

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import click
 
-from rotorwatch.commands.fleet import JSON, STORE, day, fleet, table, unknown
+from rotorwatch.commands.fleet import JSON, STORE, STYLES, day, fleet, table, unknown
 from rotorwatch.commands.tools import common, flag, label, option, print_json, say
 from rotorwatch.errors import ConfigError, StoreError
 
@@ -17,7 +17,7 @@ from rotorwatch.errors import ConfigError, StoreError
 @option("--search", "Flights: words in name, verdict, headline or aircraft.", "", metavar="WORDS")
 @option("--verdict", "Flights: healthy, fault, crashed, ambiguous, inconclusive; several with commas.", "", metavar="VERDICT,...")
 @option("--aircraft", "Flights: only of this aircraft.", metavar="NAME")
-@option("--since", "Flights: on this day or later, in UTC.", "", metavar="TIME")
+@option("--since", "Flights: on this day or later, in UTC; also yesterday.", "", metavar="TIME")
 @option("--until", "Flights: on this day or earlier, in UTC.", "", metavar="TIME")
 @option("--min-loss", "Flights: worst loss at least this share, 0..1.", 0.0, metavar="X")
 @option("--min-duration", "Flights: minimum duration.", 0.0, metavar="S")
@@ -62,7 +62,7 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
         new = ", ".join(f"{count} {verdict}" for verdict, count in a["new"].items()) or "-"
         rows.append((a["name"], a["state"], str(a["flights"]), day(a["last"]), last.get("verdict", "-"), new, headline))
     head = ("aircraft", "state", "flights", "last flight", "verdict", "new", "status")
-    table(f"{len(found)} aircraft", head, rows, right=(2,))
+    table(f"{len(found)} aircraft", head, rows, right=(2,), styles=STYLES)
     with suppress(StoreError):  # the store may be read-only
         store.look()
     if nobody and not quiet:

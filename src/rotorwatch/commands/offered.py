@@ -12,6 +12,27 @@ import click
 GROUP = "rotorwatch.commands"
 
 
+SECTIONS = {
+    "Start here": ("diagnose", "info", "watch", "fleet", "serve"),
+    "Your vehicles": ("demo", "calibrate", "survive", "observability", "ask", "export-c", "mcp", "new"),
+    "Your method and data": ("evaluate", "estimate", "tune", "simulate", "inject", "compare", "benchmark", "campaign", "reproduce"),
+}
+"""The commands in the order of what people do; all others follow by name."""
+
+
+class Group(click.Group):
+    """A group that lists its commands in SECTIONS."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        left = {name: command for name in self.list_commands(ctx) if (command := self.get_command(ctx, name)) and not command.hidden}
+        limit = formatter.width - 6 - max(map(len, left), default=0)
+        for title, names in (*SECTIONS.items(), ("More", sorted(left))):
+            rows = [(name, left.pop(name).get_short_help_str(limit)) for name in names if name in left]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+
 class Commands(UserDict):
     """The commands of a group: click commands, files of this folder by their names, and those that installed packages offer as `NAME`, or
     as `PREFIX.NAME` in a group called PREFIX. A command of ours keeps its name. Other packages are looked at when a name is unknown, or

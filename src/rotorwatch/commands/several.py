@@ -40,6 +40,7 @@ class Request(NamedTuple):
     parquet: Path | None
     markdown: Path | None
     identify: bool
+    line: bool
     verbose: bool
     as_json: bool
     jsonl: bool
@@ -105,6 +106,8 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             codes.add(answer.exit_code)
             if tables is not None:
                 tables.add(answer.tables or parquet_tables.failed(answer.path, record["error"]))
+            if request.line and answer.diagnosis is not None:
+                click.echo(f"{label(request.logs[answer.index])}: {answer.diagnosis.to_line()}")
             page = _write_page(request, answer)
             lines.write(answer, record)
             if request.as_json:
@@ -113,7 +116,7 @@ def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
             rows.add(row)
             if together:
                 together.add(row, answer.diagnosis, answer.parts, answer.picture)
-            if counter and answer.diagnosis is not None and not (request.as_json or lines.streams):
+            if counter and answer.diagnosis is not None and not (request.as_json or request.line or lines.streams):
                 from rotorwatch.report import terminal
 
                 counter.show(terminal.line(label(request.logs[answer.index]), answer.diagnosis))
@@ -164,7 +167,7 @@ def _show(request: Request, rows: Any, listed: list[dict[str, Any]], together: A
         print_json(listed)
     elif request.to_stdout:
         click.echo(together.text(), nl=False)
-    elif not request.jsonl:
+    elif not (request.jsonl or request.line):
         show(lambda terminal: terminal.overview(rows.title(), rows.worst()))
     if request.html:
         overview.write(rows, request.html / "index.html")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +13,14 @@ from pathlib import Path
 from rotorwatch import __version__
 from rotorwatch.base import many
 from rotorwatch.errors import LogError, NotInStore, RotorwatchError, StoreError, VehicleError
-from rotorwatch.fleet import assess, flight_result
+from rotorwatch.fleet import assess, condition, flight_result
 from rotorwatch.fleet.store import Entry, Store
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.gathering import Gathered, fetched, full, is_address, is_log, is_several
 from rotorwatch.logs import fingerprint
 
 POLL_S = 2.0
+ALERTED = ("crashed", "fault", "ambiguous")
 
 
 @dataclass(frozen=True)
@@ -164,32 +165,58 @@ def follow(
     poll_s: float = POLL_S,
     stop: Callable[[], bool] = lambda: False,
     assessed: Callable[[Store], None] = lambda store: None,
+    alert: Callable[[dict[str, str]], None] = lambda told: None,
 ) -> None:
     """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed between two polls. When the
-    store cannot be reached, `trouble` is called once, and every poll retries. assessed: called after the aircraft have been assessed."""
+    store cannot be reached, `trouble` is called once, and every poll retries. assessed: called after the aircraft have been assessed.
+    alert: called with each new flight that is not healthy, and with each aircraft whose state became more urgent."""
     folders = [Path(f) for f in folders]
     seen: dict[Path, tuple[int, int]] = {}
     settled: dict[Path, tuple[int, int]] = {}
-    unwell = ""
+    unwell, states = "", None
     while not stop():
         new = False
         try:
+            states = {a["key"]: a["state"] for a in store.aircraft()} if states is None else states
             for path, mark in _files(folders):
                 if settled.get(path) != mark and seen.get(path) == mark:
                     if is_log(path):
                         outcomes, _ = add(store, [path], aircraft, vehicle, tell, jobs=1, insist=False)
                         new |= any(one.state == "added" for one in outcomes)
+                        for told in _flight_alerts(outcomes):
+                            alert(told)
                     settled[path] = mark
                 seen[path] = mark
             if new or unwell:
                 assess.refresh(store)
                 assessed(store)
+                aircraft_now = store.aircraft()
+                for told in _aircraft_alerts(states, aircraft_now):
+                    alert(told)
+                states = {a["key"]: a["state"] for a in aircraft_now}
             unwell = ""
         except StoreError as why:
             if str(why) != unwell:
                 trouble(str(why))
             unwell = str(why)
         time.sleep(poll_s)
+
+
+def _flight_alerts(outcomes: Iterable[Outcome]) -> Iterator[dict[str, str]]:
+    """type flight, aircraft, log, verdict, headline of each added flight that was found faulty, crashed or ambiguous."""
+    for one in outcomes:
+        if one.state == "added" and one.verdict in ALERTED:
+            name = Path(str(one.path)).name
+            yield {"type": "flight", "aircraft": one.aircraft, "log": name, "verdict": one.verdict, "headline": one.text}
+
+
+def _aircraft_alerts(before: Mapping[str, str], aircraft: Iterable[Mapping]) -> Iterator[dict[str, str]]:
+    """type aircraft, aircraft, state, was, headline of each aircraft whose state is more urgent than before; a new one was not judged."""
+    for a in aircraft:
+        was = before.get(a["key"], condition.UNKNOWN)
+        if a["state"] in (condition.FAULT, condition.SUSPECT) and condition.STATES.index(a["state"]) < condition.STATES.index(was):
+            headline = (a["standing"] or {}).get("headline", "")
+            yield {"type": "aircraft", "aircraft": a["name"], "state": a["state"], "was": was, "headline": headline}
 
 
 def _files(folders: Iterable[Path]) -> Iterator[tuple[Path, tuple[int, int]]]:

@@ -20,6 +20,7 @@ td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 svg { width: 100%; height: auto; display: block; } svg text { font: 11px system-ui, sans-serif; fill: currentColor; }
 .fault, .worn, .damaged { color: var(--bad); font-weight: 600; } .suspect { color: var(--doubt); font-weight: 600; } .healthy { color:
 var(--good); } .lead { font-size: 1.15rem; }
+.of-fault { border-left: 5px solid var(--bad); } .of-suspect { border-left: 5px solid var(--doubt); }
 body { overflow-wrap: anywhere; } .not-judged { color: inherit; }
 @media (max-width: 40rem) { body { margin: 1rem auto; } .more { display: none; } table, thead, tbody { display: block; }
 tr { display: grid; grid-template-columns: 1fr auto auto auto; border-bottom: 1px solid var(--line); }
@@ -63,14 +64,17 @@ def _index(aircraft: Sequence[Mapping]) -> str:
         standing = a["standing"] or {}
         headline = standing.get("headline", "Not assessed yet.")
         last = (standing.get("last") or {}).get("verdict", "-")
+        new = ", ".join(f"{count} {verdict}" for verdict, count in a["new"].items()) or "-"
+        state = a["state"].replace(" ", "-")
         rows.append(
-            f'<tr><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="{a["state"].replace(" ", "-")}">{a["state"]}</td>'
+            f'<tr class="of-{state}"><td><a href="{_file(a)}">{escape(a["name"])}</a></td><td class="{state}">{a["state"]}</td>'
             f'<td class="n">{a["flights"]}</td><td class="n more">{a["airborne_s"] / 3600:.1f}</td>'
-            f'<td class="more">{escape((a["last"] or "-")[:10])}</td><td>{escape(last)}</td><td>{escape(headline)}</td></tr>'
+            f'<td class="more">{escape((a["last"] or "-")[:10])}</td><td>{escape(last)}</td>'
+            f'<td class="more">{escape(new)}</td><td>{escape(headline)}</td></tr>'
         )
     head = (
         '<tr><th>aircraft</th><th>state</th><th class="n">flights</th><th class="n more">hours</th><th class="more">last flight</th>'
-        "<th>last verdict</th><th>status</th></tr>"
+        '<th>last verdict</th><th class="more">new</th><th>status</th></tr>'
     )
     return _page("Fleet", f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>")
 

@@ -26,6 +26,7 @@ ORDERS = {
     "name": "lower(f.name)",
 }
 NEWEST = "-date"
+DAYS = {"today": 0, "yesterday": 1}
 
 
 @dataclass(frozen=True)
@@ -109,15 +110,17 @@ def find(db: Any, aircraft: str) -> dict[str, Any]:
 
 
 def moment(name: str, given: str) -> tuple[str, str]:
-    """Begin of the day, minute or second that a text denotes, and of the next one, in the store's form. name: of the setting, for the
-    error. Raises ConfigError."""
+    """Begin of the day, minute or second that a text denotes, and of the next one, in the store's form; also of `today` and `yesterday`, in
+    UTC. name: of the setting, for the error. Raises ConfigError."""
+    if (past := DAYS.get(given.strip().lower())) is not None:
+        given = (datetime.now(timezone.utc).date() - timedelta(days=past)).isoformat()
     try:
         first = datetime.fromisoformat(given.strip().replace("Z", "+00:00"))
         first = first.replace(tzinfo=timezone.utc) if first.tzinfo is None else first.astimezone(timezone.utc)
         day, fine = len(given.strip()) <= 10, bool(first.second or first.microsecond)
         end = first + (timedelta(days=1) if day else timedelta(seconds=1) if fine else timedelta(minutes=1))
     except (ValueError, OverflowError):
-        example = "give a day or time such as 2026-05-01 or 2026-05-01T14:30"
+        example = "give a day or time such as 2026-05-01, 2026-05-01T14:30 or yesterday"
         raise ConfigError(f"{name} {_quoted(given)}: {example}.") from None
     return _kept(first), _kept(end)
 

@@ -19,8 +19,8 @@ TINY = 1e-12  # probabilities are rounded to less
 EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
 # Fields of the JSON answer (docs/json.md) in their order; of an event, before those of its kind; of a rotor.
 ANSWER = (
-    "flight", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "rotors", "events", "common_mode",
-    "whole_flight", "compared", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",
+    "flight", "fit_to_fly", "verdict", "headline", "reason", "story", "picture", "advice", "main_event", "causes", "rotors", "events",
+    "common_mode", "whole_flight", "compared", "baseline", "estimator", "comparison", "assumptions", "warnings", "timing",
 )  # fmt: skip
 EVENT = (
     "kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval", "probability", "reason",
@@ -147,6 +147,17 @@ class Event:
 
 
 @dataclass(frozen=True)
+class Fitness:
+    """Whether to fly again. word: fly (no loss that matters, and nothing to look at), look first, do not fly (a fault, or control was lost)
+    or cannot say (too little was seen). checks: at most three inspections, in the order of their worth. surer: what to log or fly so that
+    the next answer is surer."""
+
+    word: str
+    checks: tuple[str, ...] = ()
+    surer: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class StoryLine:
     """A sentence of the story of a loss of control, and its time [s]."""
 
@@ -205,6 +216,15 @@ class Trace:
         pd = optional.library("pandas", "to_pandas")
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time_s"))
 
+    def plot(self, path=None):
+        """A matplotlib figure of the loss of every rotor with its 95 % interval, and of the commands, in %, over time [s]. path: also write
+        it there (.png, .svg, .pdf). Raises ConfigError where matplotlib is not installed."""
+        from rotorwatch.flight.display import Panel, plot
+
+        names = [f"rotor {k + 1}" for k in range(self.loss.shape[1])]
+        losses = Panel("loss [%]", 100.0 * self.loss, names, 100.0 * self.lower, 100.0 * self.upper)
+        return plot(self.time, [losses, Panel("command [%]", 100.0 * self.command, names)], path)
+
     def __repr__(self) -> str:
         span = f", {self.time[0]:.1f} to {self.time[-1]:.1f} s" if len(self.time) else ""
         return f"<Trace: {len(self.time)} ticks of {self.loss.shape[1]} rotors{span}>"
@@ -224,7 +244,8 @@ class Diagnosis:
     loss of control, four sentences in order of time, or empty. picture: attitude and commands around it (docs/json.md), or None. aircraft:
     its identity, such as a serial number; empty where the log has none; not in the JSON. own: of a published method, its own series over
     the flight (`own_estimate` of the JSON). compared: claims of losses and what else explains the motion (docs/json.md). balance: what a
-    sensor hears of the rotors (witnesses/balance/imbalances.py), for the report, not in the JSON."""
+    sensor hears of the rotors (witnesses/balance/imbalances.py), for the report, not in the JSON. fit_to_fly: whether to fly again. causes:
+    what explains the answer, the most probable first: name, rotors, probability (None where unknown) and evidence (docs/json.md)."""
 
     flight: Mapping[str, Any]
     verdict: str
@@ -250,6 +271,8 @@ class Diagnosis:
     own: MethodSeries | None = None
     compared: tuple[Mapping[str, Any], ...] = ()
     balance: Any = None
+    fit_to_fly: Fitness | None = None
+    causes: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -281,11 +304,12 @@ class Diagnosis:
         if found.get("schema") != SCHEMA:
             raise ConfigError(f"This diagnosis has the schema {found.get('schema')}, not {SCHEMA}; diagnose the log again.")
         rotors = [{**r, "trend": None if r["trend"] is None else Trend(**_tuples(r["trend"]))} for r in found["rotors"]]
-        optional_ = {"timing": {}, "picture": None, "story": (), "compared": ()}
+        optional_ = {"timing": {}, "picture": None, "story": (), "compared": (), "fit_to_fly": None, "causes": ()}
         answer = {name: found.get(name, optional_[name]) if name in optional_ else found[name] for name in ANSWER}
-        answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "compared", "advice")}
+        answer |= {name: tuple(answer[name]) for name in ("assumptions", "warnings", "comparison", "compared", "advice", "causes")}
         answer["rotors"] = tuple(RotorState(**_tuples(r)) for r in rotors)
         answer["events"] = tuple(map(Event.from_dict, found["events"]))
+        answer["fit_to_fly"] = answer["fit_to_fly"] and Fitness(**_tuples(answer["fit_to_fly"]))
         answer["story"] = tuple(StoryLine(**line) for line in answer["story"])
         return cls(main=answer.pop("main_event"), **answer)
 
@@ -309,6 +333,20 @@ class Diagnosis:
         if path is None:
             return markdown.text(self, identify)
         return markdown.write(self, path, identify).text
+
+    def to_line(self) -> str:
+        """The answer as one line of plain text for a forum, without private data."""
+        from rotorwatch.report import markdown
+
+        return markdown.line(self)
+
+    def plot(self, what: str = "auto", path=None):
+        """A matplotlib figure: "moment", attitude and commands around a loss of control or a desync; "flight", the loss of every rotor [%]
+        with its 95 % interval, and the commands, over time [s]; "auto", the moment where there is one. path: also write it there (.png,
+        .svg, .pdf). Raises ConfigError where there is nothing to draw, or no matplotlib."""
+        from rotorwatch.report import still
+
+        return still.figure(self, what, path)
 
     def to_mcap(self, path) -> None:
         """Write the diagnosis as an MCAP file, for Foxglove and PlotJuggler, to `path` (atomically). Raises ConfigError where the package
@@ -362,7 +400,7 @@ def _round(value: Any, digits: int = 4) -> Any:
     """Numbers to plain Python, rounded; containers walked; NaN and infinities become None."""
     if value is None or isinstance(value, (bool, str)):
         return value
-    if isinstance(value, (Trend, StoryLine)):
+    if isinstance(value, (Trend, StoryLine, Fitness)):
         value = vars(value)
     if isinstance(value, Mapping):
         return {str(k): _round(v, digits) for k, v in value.items()}

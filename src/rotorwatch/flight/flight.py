@@ -131,6 +131,14 @@ class Signal:
         values = np.where(self.valid, self.values, np.nan)
         return pd.DataFrame(values, columns=list(self.columns), index=pd.Index(self.time, name="time_s"))
 
+    def plot(self, path=None):
+        """A matplotlib figure of all columns over time [s], in its unit; gaps where the log had no usable number. path: also write it there
+        (.png, .svg, .pdf). Raises ConfigError where matplotlib is not installed."""
+        from rotorwatch.flight.display import Panel, plot
+
+        values = np.where(self.valid, self.values, np.nan)
+        return plot(self.time, [Panel(f"{self.source or 'value'} [{self.unit}]", values, self.columns)], path)
+
     def __repr__(self) -> str:
         frame = f", {self.frame}" if self.frame else ""
         return f"<Signal {' '.join(self.columns)} [{self.unit}{frame}]: {len(self)} samples, {self.rate_hz:.1f} Hz>"

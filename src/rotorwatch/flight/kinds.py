@@ -20,6 +20,7 @@ SLOW, HIGH, LOW = "slow_motor", "high_current", "low_current"
 REPORTED = "autopilot_report"
 AT_LIMIT, HEAVY, UNEVEN = "outputs_at_limit", "little_thrust_left", "yaw_imbalance"
 STANDS_APART, EXHAUSTED = "output_stands_apart", "too_little_without_rotor"
+GIVEN_UP, CAPPED, OSCILLATES = "output_given_up", "outputs_capped", "outputs_oscillate"
 SLOW_RESPONSE = "slow_response"
 OUT_OF_BALANCE, UNBALANCED = "out_of_balance", "became_out_of_balance"
 UNKNOWN = -1  # number of a kind that the table lacks

@@ -122,6 +122,13 @@ class MethodSeries:
             "series": series,
         }  # fmt: skip
 
+    def plot(self, path=None):
+        """A matplotlib figure of every loss (T,) with its interval or bound over time [s]. path: also write it there (.png, .svg, .pdf).
+        Raises ConfigError where matplotlib is not installed."""
+        from rotorwatch.flight.display import Panel, plot
+
+        return plot(self.time, [Panel(f"{self.method}: loss, {self.says}", self.theta, self.theta_names, self.lower, self.upper)], path)
+
     def __repr__(self) -> str:
         span = f", {self.time[0]:.1f} to {self.time[-1]:.1f} s" if len(self.time) else ""
         return f"<MethodSeries of {self.title}: {len(self.time)} steps{span}>"

@@ -25,6 +25,26 @@ from rotorwatch.answer.wording import (  # noqa: F401 - re-exported
 from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
 
 
+def verdict(diagnosis: Diagnosis) -> str:
+    """Whether to fly again, and the verdict: 'Do not fly · Fault found'."""
+    fit = diagnosis.fit_to_fly
+    return f"{sentence(fit.word)} · {VERDICTS[diagnosis.verdict]}" if fit else VERDICTS[diagnosis.verdict]
+
+
+TONES = {"fly": "healthy", "look first": "ambiguous", "do not fly": "fault", "cannot say": "inconclusive"}
+
+
+def tone(diagnosis: Diagnosis) -> str:
+    """The verdict whose colour and sign an answer gets: that of its word, so that a healthy flight with a knock is not green."""
+    return TONES[diagnosis.fit_to_fly.word] if diagnosis.fit_to_fly else diagnosis.verdict
+
+
+def steps(diagnosis: Diagnosis) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Recommended actions: what to check, and what would make the answer surer."""
+    surer = diagnosis.fit_to_fly.surer if diagnosis.fit_to_fly else ()
+    return tuple(step for step in diagnosis.advice if step not in surer), tuple(step for step in diagnosis.advice if step in surer)
+
+
 def frame(diagnosis: Diagnosis) -> str:
     """Frame and number of rotors as far as known: 'hexa X, 6 rotors'."""
     facts = diagnosis.flight

@@ -102,20 +102,25 @@ def masthead(title: str) -> str:
 
 
 def _verdict(diagnosis: Diagnosis) -> str:
-    word = f"{SYMBOLS[diagnosis.verdict]} {report.VERDICTS[diagnosis.verdict]}"
-    steps = "".join(f"<li>{markup.text(step)}</li>" for step in diagnosis.advice)
+    tone = report.tone(diagnosis)
+    word = f"{SYMBOLS[tone]} {report.verdict(diagnosis)}"
+    lists = zip(("What to check", "What would make the answer surer"), report.steps(diagnosis))
     return (
-        f'<section class="verdict {escape(diagnosis.verdict)}"><div class="word">{escape(word)}</div>'
+        f'<section class="verdict {escape(tone)}"><div class="word">{escape(word)}</div>'
         f"<h1>{markup.text(diagnosis.headline)}</h1>{_story(diagnosis)}<p>{markup.text(report.sentence(diagnosis.reason))}</p>"
-        + (f'<h2>What to do next</h2><ul class="advice">{steps}</ul>' if steps else "")
+        + "".join(f'<h2>{title}</h2><ul class="advice">{_items(steps)}</ul>' for title, steps in lists if steps)
         + COPY
         + "</section>"
     )
 
 
+def _items(texts: Iterable[str]) -> str:
+    return "".join(f"<li>{markup.text(text)}</li>" for text in texts)
+
+
 def _story(diagnosis: Diagnosis) -> str:
     """Course of events up to a loss of control."""
-    items = "".join(f"<li>{markup.text(s.text)}</li>" for s in diagnosis.story)
+    items = _items(s.text for s in diagnosis.story)
     return f'<h2>What happened</h2><ol class="story">{items}</ol>' if items else ""
 
 

@@ -52,6 +52,17 @@ def text(diagnosis: Diagnosis, identify: bool = False, picture: str | None = Non
     return made
 
 
+def line(diagnosis: Diagnosis) -> str:
+    """The answer as one line of plain text, without private data: whether to fly, the headline, what flew."""
+    facts, fit = diagnosis.flight, diagnosis.fit_to_fly
+    firmware, maker = (str(facts.get(name) or "") for name in ("firmware", "autopilot"))
+    flown = [report.frame(diagnosis), firmware if maker in firmware else f"{maker} {firmware}".strip()]
+    word = (fit.word if fit else report.VERDICTS[diagnosis.verdict]).upper()
+    said = private(f"{word}: {diagnosis.headline or diagnosis.reason}", diagnosis.aircraft)
+    about = private(", ".join(part for part in flown if part), diagnosis.aircraft, True)
+    return files.one_line(f"{said} ({about}; rotorwatch {__version__})", MOST)
+
+
 class Part(NamedTuple):
     """A section of the post. top: above the fold."""
 
@@ -135,7 +146,7 @@ class _About:
         """Parts in order, some of them empty."""
         d = self.diagnosis
         headline = self.own(d.headline or d.reason, max(size.letters, 160))
-        yield f"**{SIGNS[d.verdict]} {report.VERDICTS[d.verdict]}: {headline}**"
+        yield f"**{SIGNS[report.tone(d)]} {report.verdict(d)}: {headline}**"
         yield self._what_flew()
         if picture:
             yield f"![{_alternative(d)}]({quote(picture)})"
@@ -143,7 +154,9 @@ class _About:
         yield _numbered("What happened", story)
         yield self.own(report.sentence(d.reason), size.letters) if d.reason != d.headline else ""
         yield from (self._section(part, size) for part in self.sections if part.top)
-        yield _bullets("What to check next", (self.own(step, size.letters) for step in d.advice[: size.advice]))
+        checks, surer = (some[: size.advice] for some in report.steps(d))
+        yield _bullets("What to check", (self.own(step, size.letters) for step in checks))
+        yield _bullets("What would make the answer surer", (self.own(step, size.letters) for step in surer[: size.advice - len(checks)]))
         below = (self._section(part, size) for part in self.sections if not part.top)
         folded = [part for part in below if part][: size.folded]
         if folded:

@@ -6,14 +6,14 @@ from html import escape
 
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.display import table
-from rotorwatch.report import VERDICTS, blocks, frame, sections
+from rotorwatch.report import blocks, frame, sections, verdict
 
 
 def page(result: Diagnosis) -> str:
     """Verdict, sections and advice."""
     return "".join(
         [
-            f"<p><b>{escape(VERDICTS[result.verdict])}</b> {escape(result.headline)}<br>"
+            f"<p><b>{escape(verdict(result))}</b> {escape(result.headline)}<br>"
             f"<small>{escape(str(result.flight.get('name', '')))}, {escape(frame(result))}</small></p>",
             *(_section(one) for one in sections.shown(result, "notebook")),
             *(f"<p>&rarr; {escape(text)}</p>" for text in result.advice),

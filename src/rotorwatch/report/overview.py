@@ -13,6 +13,7 @@ from urllib.parse import quote
 from rotorwatch import __version__
 from rotorwatch.answer.wording import sentence
 from rotorwatch.base import files
+from rotorwatch.report import TONES
 
 ORDER = ("error", "crashed", "fault", "ambiguous", "inconclusive", "healthy")
 """Worst first."""
@@ -43,7 +44,7 @@ box.addEventListener("input", () => {
 
 class Row(NamedTuple):
     """One flight. path: full; when: UTC where the log has it, else on its own clock; loss: the largest of a rotor; page: its report's
-    file name, where there is one; reason: why, where the headline does not say so already."""
+    file name, where there is one; reason: why, where the headline does not say so already; tone: as of `report.tone`."""
 
     verdict: str
     path: str
@@ -53,6 +54,12 @@ class Row(NamedTuple):
     loss: float = 0.0
     page: str | None = None
     reason: str = ""
+    tone: str = ""
+
+    @property
+    def look(self) -> str:
+        """The verdict whose colour it gets."""
+        return self.tone or self.verdict
 
     @property
     def rank(self) -> tuple[int, float, str]:
@@ -69,7 +76,8 @@ def row(path: str, answer: Mapping[str, Any], page: str | None = None) -> Row:
     aircraft = facts.get("aircraft") or " · ".join(str(facts[k]) for k in ("frame", "firmware") if facts.get(k))
     what, why = str(answer["headline"]), sentence(str(answer["reason"]))
     why = "" if why.rstrip(".").lower() in what.lower() else why
-    return Row(answer["verdict"], path, str(aircraft), when(answer), what, max(losses, default=0.0), page, why)
+    tone = TONES.get((answer.get("fit_to_fly") or {}).get("word", ""), "")
+    return Row(answer["verdict"], path, str(aircraft), when(answer), what, max(losses, default=0.0), page, why, tone)
 
 
 def when(answer: Mapping[str, Any]) -> str:
@@ -146,7 +154,7 @@ def _line(row: Row) -> str:
     path = escape(printable(row.path))
     link = f'<a href="{escape(quote(row.page))}">{path}</a>' if row.page else path
     return (
-        f'<tr class="{row.verdict}"><td class="word">{row.verdict}</td><td class="path">{link}</td><td>{escape(row.aircraft)}</td>'
+        f'<tr class="{row.look}"><td class="word">{row.verdict}</td><td class="path">{link}</td><td>{escape(row.aircraft)}</td>'
         f'<td class="when">{escape(row.when)}</td><td>{escape(printable(row.headline))}</td>'
         f"<td>{escape(printable(row.reason))}</td></tr>"
     )

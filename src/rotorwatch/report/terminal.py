@@ -111,7 +111,7 @@ def aside(text: str, mark: str = "") -> Padding:
 
 def line(name: str, result: Diagnosis) -> Text:
     """A flight of several on one line."""
-    text = Text(f"{report.VERDICTS[result.verdict].lower():<11}  ", style=STYLES[result.verdict])
+    text = Text(f"{report.VERDICTS[result.verdict].lower():<11}  ", style=STYLES[report.tone(result)])
     return text.append(f"{name}  {result.headline}", style="default not bold")
 
 
@@ -151,7 +151,7 @@ class _Overview:
         table.expand = True
         for k, row in enumerate(self.rows):
             cells = [Text(facts[name][k]) for name in shown]
-            cells[0].stylize(STYLES[row.verdict])
+            cells[0].stylize(STYLES[row.look])
             table.add_row(*cells)
         yield table
 
@@ -209,7 +209,7 @@ def _longest_line(text: Text) -> int:
 
 def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
     facts = result.flight
-    text = Text(report.VERDICTS[result.verdict].upper(), style=STYLES[result.verdict])
+    text = Text(report.verdict(result).upper(), style=STYLES[report.tone(result)])
     text.append("  ").append(result.headline, style="default bold")
     what = [str(facts["name"])] if facts.get("name") else []
     what += [report.frame(result), *(str(facts[k]) for k in ("autopilot",) if facts.get(k))]
@@ -217,7 +217,7 @@ def _heading(result: Diagnosis, brief: bool = False) -> list[RenderableType]:
     what += [f"{float(facts.get('duration_s') or 0):.0f} s", *filter(None, [report.day(result)])]
     reason = report.sentence(result.reason)
     known = brief and (bool(result.story) or _said(reason, result.headline))
-    return [Text(" · ".join(what), style="dim"), Text(), text, *_story(result), *([] if known else [Text(reason)])]
+    return [text, Text(" · ".join(what), style="dim"), *_story(result), *([] if known else [Text(reason)])]
 
 
 def _said(reason: str, headline: str) -> bool:

@@ -68,6 +68,7 @@ def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float,
             "diagnosed in flight from telemetry: the vehicle's own log has more data and is diagnosed as a whole",
         ),
         warnings=(), timing={}, headline=end_of.headline, main=end_of.main, advice=end_of.advice, story=end_of.story,
+        fit_to_fly=end_of.fit_to_fly, causes=end_of.causes,
     )  # fmt: skip
 
 

@@ -9,6 +9,8 @@ near_ground.py           losses that the ground explains as well
 rivals.py                losses compared with what else explains the motion that followed
 odds.py                  weights and probabilities of these explanations
 leaning.py               a lasting lateral force at rest: contact, however slowly it began
+stepped.py               losses that grew in a step
+oscillation.py           outputs that oscillate: frequency, axis, gain
 reports.py               the autopilot's own reports, and quantities beyond five of its limits
 battery.py               whether the battery's voltage fell by more than its current explains
 upset/                   vehicles that departed controlled flight, and why

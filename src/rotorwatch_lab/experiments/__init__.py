@@ -5,6 +5,7 @@ counting.py         what is found, right, late, and a false alarm: one definitio
 limits.py           the best that any method could do
 inject.py           losses put into healthy flights
 labels.py           lists of flights whose faults are known
+rival_detector.py   somebody's own detector beside rotorwatch, for evaluate
 evaluate.py         the diagnosis on them, scored
 evaluation_page.py  its answer as a page
 real_flights/       labels and tables of real flights in public repositories

@@ -21,20 +21,25 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch import logs
 from rotorwatch.base import files, many
 from rotorwatch.errors import ConfigError, RotorwatchError
+from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Diagnosis, Event, RotorState
 from rotorwatch.toolkit import diagnose
-from rotorwatch_lab.experiments import counting, labels, tools
+from rotorwatch_lab.experiments import counting, labels, rival_detector, tools
 from rotorwatch_lab.experiments.labels import Fault, Labelled
 
 NAMED = ("right", "extra", "partly", "among")
 """Outcomes in which the answer names a broken rotor."""
 WRONG = ("extra", "wrong")
 REFUSED = "refused"
+OWN = "rotorwatch"  # the detector of an answer's own rows
+UNKNOWN = "unknown"  # outcome of a flight of which nobody says whether it is healthy
 ROW = (
-    "path", "rotor", "onset_s", "size", "end_s", "label_source", "verdict", "outcome", "found", "accused", "candidates", "delay_s",
-    "onset_error_s", "loss", "low", "high", "size_error", "holds", "false_alarms", "healthy_s", "headline", "sentence",
+    "path", "detector", "rotor", "onset_s", "size", "end_s", "label_source", "verdict", "outcome", "found", "accused", "candidates",
+    "alarm_s", "delay_s", "onset_error_s", "loss", "low", "high", "size_error", "holds", "false_alarms", "healthy_s", "headline",
+    "sentence",
 )  # fmt: skip
 
 
@@ -53,20 +58,24 @@ def evaluate(
     scheduler: str | None = None,
     keep: str | os.PathLike | None = None,
     answered: Callable[[str, Sequence[dict[str, Any]]], Any] | None = None,
+    detector: str = "",
 ) -> dict[str, Any]:
     """Diagnose labelled flights and count what is found.
 
-    flights: a CSV file with the columns of `labels`, or its rows as dicts, with paths relative to the current folder. jobs, scheduler,
+    flights: a CSV file with the columns of `labels`, or its rows as dicts, with paths relative to the current folder; or a folder.
+    detector: another one, run on the same flights and scored beside rotorwatch: FILE.py or a module (`rival_detector`). jobs, scheduler,
     keep: as for `many.in_order`. progress: called as progress(share, text). answered: called as answered(path, rows) for each flight in
     order. The answer:
 
-    flights   a row of ROW for each fault and for each healthy flight. outcome: of `counting`, or refused, with the reason in `sentence`.
+    flights   a row of ROW for each fault and for each healthy flight, and again for the detector. outcome: of `counting`; refused, with
+              the reason in `sentence`; or unknown. alarm_s: the first alarm.
               accused, candidates: rotors; delay_s: from the onset, or from take-off, to the announcement; loss, low, high: the last size
               announced; false_alarms: alarms while no rotor was broken, of healthy_s seconds in the air (in a flight's first row)
     others    the autopilots' own checks on the same flights: detector -> flights (that it alarms in), right and wrong faults, false_alarms
     summary   flights, faults, refused; found, right, wrong, among, missed: shares of the faults answered, `wrong` those with a healthy
               rotor accused; delay_s and onset_error_s: medians; size_rms; holds: share of sizes whose interval contains the label; healthy
               flights with a doubt; healthy_h; false_alarms_h: per hour. Each with its 95 % interval (`tools`), or null
+    compared  with a detector: name -> the same summary, of rotorwatch and of the detector
 
     Raises ConfigError with one sentence for a list that is not one; a log that cannot be diagnosed is a row with the reason.
     """
@@ -74,6 +83,9 @@ def evaluate(
         listed = labels.read(flights)
     else:
         listed = labels.labelled(((f"row {k}", row) for k, row in enumerate(flights, start=1)), "The list", Path())
+    if detector:
+        rival_detector.load(detector)
+        listed = [flight._replace(detector=detector) for flight in listed]
     report = progress or (lambda share, text="": None)
     rows: list[dict[str, Any]] = []
     findings: list[tuple[Labelled, list[dict[str, Any]], float]] = []
@@ -87,7 +99,10 @@ def evaluate(
             findings.append((flight, others, float(found[0]["healthy_s"])))
         if answered:
             answered(flight.name, found)
-    return {"flights": rows, "others": _others(findings), "summary": summarise(rows)}
+    own = [row for row in rows if row["detector"] == OWN]
+    names = dict.fromkeys(row["detector"] for row in rows)
+    compared = {name: summarise([row for row in rows if row["detector"] == name]) for name in names} if detector else {}
+    return {"flights": rows, "others": _others(findings), "summary": summarise(own), **({"compared": compared} if detector else {})}
 
 
 def _judged(flight: Labelled) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -95,13 +110,18 @@ def _judged(flight: Labelled) -> tuple[list[dict[str, Any]], list[dict[str, Any]
     try:
         if not any(map(os.path.exists, (flight.path, flight.path.rpartition("#")[0]))):  # FILE#2: a session of it
             raise ConfigError(f"{flight.path}: no such file.")
-        answer = diagnose(flight.path, flight.vehicle, flight.baseline)
+        log = logs.read(flight.path) if flight.detector else flight.path
+        answer = diagnose(log, flight.vehicle, flight.baseline)
         rotors = len(answer.rotors) or int(answer.flight["rotors"])
         if beyond := [r for fault in flight.faults for r in fault.rotors if r > rotors]:
             raise ConfigError(f"{flight.path}: the list names rotor {beyond[0]} of a vehicle with {rotors}.")
+        own = scored(flight, answer)
+        if isinstance(log, Flight):
+            other = rival_detector.answer(flight.detector, log, flight.vehicle, answer)
+            own += [row | {"detector": other.estimator} for row in scored(flight, other)]
     except RotorwatchError as why:
         return _refused(flight, str(why)), []
-    return scored(flight, answer), [dict(finding) for finding in answer.comparison]
+    return own, [dict(finding) for finding in answer.comparison]
 
 
 def _refused(flight: Labelled, sentence: str) -> list[dict[str, Any]]:
@@ -110,7 +130,7 @@ def _refused(flight: Labelled, sentence: str) -> list[dict[str, Any]]:
 
 
 def _known(flight: Labelled, fault: Fault | None) -> dict[str, Any]:
-    row: dict[str, Any] = dict.fromkeys(ROW) | {"path": flight.name, "label_source": flight.label_source, "rotor": ""}
+    row: dict[str, Any] = dict.fromkeys(ROW) | {"path": flight.name, "detector": OWN, "label_source": flight.label_source, "rotor": ""}
     if fault is not None:
         row |= {"rotor": "+".join(map(str, fault.rotors)), "onset_s": fault.onset_s, "size": fault.size, "end_s": fault.end_s}
     return row
@@ -122,7 +142,9 @@ def scored(flight: Labelled, answer: Diagnosis) -> list[dict[str, Any]]:
     broken = [(f.onset_s, np.inf if f.end_s is None else f.end_s) for f in flight.faults]
     healthy_s = sum(b - a for a, b in air) - _overlap(air, broken)
     raised = counting.alarms(answer.events)
-    said = {"verdict": answer.verdict, "headline": answer.headline}
+    said = {"verdict": answer.verdict, "headline": answer.headline, "alarm_s": raised[0].detected_s if raised else None}
+    if not flight.known:
+        return [_known(flight, None) | said | _names(answer) | {"outcome": UNKNOWN, "false_alarms": 0, "healthy_s": 0.0}]
     if not flight.faults:
         outcome = counting.outcome(answer)
         false = len(raised) or int(outcome == "accused")  # a fault from take-off is in no event
@@ -218,7 +240,7 @@ def _others(findings: Sequence[tuple[Labelled, list[dict[str, Any]], float]]) ->
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The summary of `evaluate`, also of some of its rows."""
-    answered = [r for r in rows if r["outcome"] != REFUSED]
+    answered = [r for r in rows if r["outcome"] not in (REFUSED, UNKNOWN)]
     faults = [r for r in answered if r["rotor"]]
     healthy = [r for r in answered if not r["rotor"]]
     errors = [r["size_error"] for r in faults if r["size_error"] is not None]
@@ -228,7 +250,8 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         return tools.share([r["outcome"] in outcomes for r in faults])
 
     return {
-        "flights": len({r["path"] for r in rows}), "faults": len(faults), "healthy": len(healthy), "refused": len(rows) - len(answered),
+        "flights": len({r["path"] for r in rows}), "faults": len(faults), "healthy": len(healthy), 
+        "refused": sum(r["outcome"] == REFUSED for r in rows),
         "found": tools.share([r["found"] for r in faults]), "right": share("right"), "wrong": share(*WRONG),
         "among": share("among", "partly"), "missed": share("missed", "astray"),
         "delay_s": tools.boot([r["delay_s"] for r in faults if r["delay_s"] is not None], np.median),
@@ -258,6 +281,20 @@ def lines(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     ]
 
 
+def first(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """(what, text): on how many flights which of two detectors alarmed first, and by how much."""
+    times: dict[str, dict[str, float | None]] = {}
+    for row in rows:
+        if row["outcome"] != REFUSED:
+            times.setdefault(row["path"], {}).setdefault(row["detector"], row["alarm_s"])
+    pairs = [tuple(one.values()) for one in times.values() if len(one) == 2]
+    both = [b - a for a, b in pairs if a is not None and b is not None]
+    alone = [sum(a is not None and b is None for a, b in pairs), sum(a is None and b is not None for a, b in pairs)]
+    ahead = float(np.median(both)) if both else 0.0
+    lead = f", {OWN} {abs(ahead):.2f} s {'earlier' if ahead >= 0.0 else 'later'} (median)" if both else ""
+    return [("alarms", f"both on {len(both)} of {len(pairs)} flights{lead}; only {OWN} on {alone[0]}, only the other on {alone[1]}")]
+
+
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The rows as CSV text."""
     text = io.StringIO()
@@ -284,7 +321,8 @@ def write(result: Mapping[str, Any], path: str | os.PathLike) -> None:
     if target.suffix.lower() == ".html":
         from rotorwatch_lab.experiments import evaluation_page
 
-        text = evaluation_page.page(result, lines(result["summary"]))
+        own = [row for row in result["flights"] if row["detector"] == OWN]
+        text = evaluation_page.page({**result, "flights": own}, lines(result["summary"]))
     else:
         text = table(result["flights"]) if target.suffix.lower() == ".csv" else json.dumps(result, indent=1, allow_nan=False)
     with files.replacing(target) as unfinished:

@@ -9,7 +9,8 @@
     baseline      healthy flights of the same build, relative to it, with ; between them
     label_source  how the label is known
 
-A flight with several faults has a row for each; one may begin while another lasts.
+A flight with several faults has a row for each; one may begin while another lasts. A folder stands for its labels.csv; without one, for
+its logs, of which nothing is known.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rotorwatch import logs
 from rotorwatch.base import files
 from rotorwatch.errors import ConfigError
 
@@ -41,7 +43,7 @@ class Fault(NamedTuple):
 
 class Labelled(NamedTuple):
     """A flight and what is known of it. name: its path in the list. faults: in time order, none of a healthy flight. vehicle, baseline: as
-    for `diagnose`."""
+    for `diagnose`. known: False where nobody says whether it is healthy. detector: another one to be run on it (`rivals`)."""
 
     name: str
     path: str
@@ -49,11 +51,19 @@ class Labelled(NamedTuple):
     vehicle: str | None = None
     baseline: tuple[str, ...] = ()
     label_source: str = ""
+    known: bool = True
+    detector: str = ""
+
+
+LIST = "labels.csv"  # of a folder
 
 
 def read(path: str | os.PathLike) -> list[Labelled]:
     """The flights of a list. Raises ConfigError, one sentence, for a list or a row that is not as the module says."""
     files.no_address(path)
+    if os.path.isdir(path) and not os.path.exists(os.path.join(path, LIST)):
+        return _folder(Path(path))
+    path = os.path.join(path, LIST) if os.path.isdir(path) else path
     try:
         if os.path.getsize(path) > MOST:
             raise ConfigError(f"{path} is too long for a list of flights.")
@@ -73,6 +83,15 @@ def read(path: str | os.PathLike) -> list[Labelled]:
         return labelled(_numbered(rows), str(path), Path(path).parent)
     except csv.Error as why:
         raise ConfigError(f"{path}: {why}.") from None
+
+
+def _folder(folder: Path) -> list[Labelled]:
+    """The logs below a folder, by their endings. Raises ConfigError where there is none."""
+    names = logs.named()
+    found = sorted(p for p in folder.rglob("*") if p.is_file() and names.search(p.name))
+    if not found:
+        raise ConfigError(f"{folder} holds neither {LIST} nor a flight log.")
+    return [Labelled(p.relative_to(folder).as_posix(), str(p), known=False) for p in found]
 
 
 def _numbered(rows: csv.DictReader) -> Iterable[tuple[str, Mapping[str, Any]]]:

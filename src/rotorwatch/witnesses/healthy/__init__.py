@@ -12,7 +12,7 @@ import numpy as np
 from rotorwatch.answer import from_takeoff, ledger
 from rotorwatch.engine.motion.tick_table import GROUND
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN, Kind, Weight, Words, register
+from rotorwatch.flight.kinds import AT_LIMIT, CAPPED, EXHAUSTED, GIVEN_UP, HEAVY, STANDS_APART, UNEVEN, Kind, Weight, Words, register
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness, adding
 
 
@@ -63,6 +63,23 @@ register(
         "the vehicle sank without a rotor because the others could not carry it",
         "others at their limit",
         "Reduce the weight if this vehicle must stay up without a rotor: `rotorwatch survive` gives the limit.",
+    ),
+    _setup(
+        21,
+        GIVEN_UP,
+        "output given up",
+        "the mixer gave up an output to balance the loss of another rotor",
+        "output given up",
+        "Nothing is wrong with the output that the mixer gave up: repair the lost rotor.",
+    ),
+    _setup(
+        22,
+        CAPPED,
+        "outputs capped",
+        "outputs stood at one value below their limit for long: a cap",
+        "outputs capped",
+        "Find the setting that caps the outputs: a maximum of the ESC's or the motor's output, a throttle limit, a limit of current or "
+        "battery; the vehicle has no more thrust than that.",
     ),
 )
 

@@ -9,6 +9,8 @@ that explains the outputs (`ledger.undisturbed`); only flights that hover are ex
                     ALIKE of it, and its output is off by APART
     twisted         not apart, and the mean thrusts of both senses of rotation differ by TWISTED of full thrust
     exhausted       a rotor was lost, and the vehicle sank with an output at its limit because its rotors gave less than its weight
+    given up        a rotor was lost, and an output whose moment its own would balance has since been at its lower end most of the time
+    capped          outputs stood at one and the same largest value below the limit, for CAPPED_S in all, and came there from below
 
 A load off the middle takes roll and pitch, a twisted mount yaw, one rotor all three alike; so a load on twisted mounts may look like a
 rotor, and the claim says so. Both have to show in each half of the flight: later changes do not come from the build. The capability of the
@@ -35,7 +37,7 @@ from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import AT_LIMIT, EXHAUSTED, HEAVY, STANDS_APART, UNEVEN
+from rotorwatch.flight.kinds import AT_LIMIT, CAPPED, EXHAUSTED, GIVEN_UP, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses.attainable import margins
 from rotorwatch.witnesses.healthy import whole_flight
@@ -54,6 +56,9 @@ SHOWS, ALIKE = 0.04, 0.25  # of w, and of that; healthy vehicles scatter by 0.04
 SAME = 0.05  # tolerance for columns of the effectiveness that are the negative of each other
 LOST, LACKS, SINKS_S, SANK_M = 0.5, 0.05, 1.0, 2.0  # shares of a rotor's thrust and of the weight; s; m
 USUAL_S = 10.0  # before a loss: the thrust of hover
+GONE, IDLE, IDLE_SHARE, AFTER_S, IDLE_S = 0.8, 0.03, 0.5, 1.0, 3.0  # loss; of the range; of the time; s after the loss; s at least
+SAME_VALUE, CAPPED_S, AT_ONCE = 1e-3, 2.0, 0.3  # of the range; s in all; longest share of the flight: more is an output that stands still
+BELOW, RARER = 1e-2, 3.0  # of the range below a cap, where an output is so many times shorter; a swing stays longer below its top
 
 
 def claims(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, until: float, events: Sequence[Event]) -> tuple[Event, ...]:
@@ -64,8 +69,13 @@ def claims(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, until: fl
     events_ = []
     if calm:
         hover = whole_flight.steady(flight, vehicle, calm)
-        events_ += [*at_limit(flight, vehicle, calm), *heavy(flight, vehicle, hover), *unequal(flight, vehicle, calm, hover)]
-    return (*events_, *exhausted(flight, vehicle, table, air, events))
+        events_ += [
+            *at_limit(flight, vehicle, calm),
+            *capped(flight, vehicle, calm),
+            *heavy(flight, vehicle, hover),
+            *unequal(flight, vehicle, calm, hover),
+        ]
+    return (*events_, *exhausted(flight, vehicle, table, air, events), *given_up(flight, vehicle, events))
 
 
 def _claim(kind: str, start: float, end: float, reason: str, extra: dict) -> Event:
@@ -271,6 +281,60 @@ def exhausted(flight: Flight, vehicle: Vehicle, table: Ticks, air: Spans, events
     numbers = {"given": gave, "sank_m": sank, "seconds": seconds, "lift": held, "lift_without_yaw": free}
     extra = {name: round(float(value), 3) for name, value in numbers.items()}
     return [_claim(EXHAUSTED, float(time[fall][0]), float(time[fall][-1]), reason, extra)]
+
+
+def capped(flight: Flight, vehicle: Vehicle, air: Spans) -> list[Event]:
+    """Outputs that stood at one largest value below their limit, of all motors that have it: at most one claim."""
+    seen = _outputs(flight, vehicle, air)
+    if not seen.time.size:
+        return []
+    top = seen.share.max(axis=0)
+    highest, flown = float(top.max()), float(seen.lasts.sum())
+    at = seen.share >= top - SAME_VALUE
+    total, below = seen.lasts @ at, seen.lasts @ ((seen.share >= top - BELOW - SAME_VALUE) & ~at)
+    who = [k for k in np.flatnonzero(np.abs(top - highest) <= SAME_VALUE) if max(CAPPED_S, RARER * below[k]) <= total[k] <= AT_ONCE * flown]
+    if highest >= 1.0 - NEAR or not who:
+        return []
+    moves = [len(_spells(seen.time, at[:, k])) >= 2 for k in who]  # it comes from below, and returns
+    if not all(moves):
+        return []
+    motors, mine = [int(k) + 1 for k in who], at[:, who].any(axis=1)
+    seconds_ = float(seen.lasts[mine].sum())
+    several = len(motors) > 1
+    reason = (
+        f"the output{'s' if several else ''} of {_motors(motors)} never exceeded {percent(highest)} of {'their' if several else 'its'} "
+        f"range and stood there for {seconds_:.1f} s: {'they are' if several else 'it is'} capped"
+    )
+    extra = {"motors": motors, "seconds": round(seconds_, 1), "output": round(highest, 3)}
+    return [_claim(CAPPED, float(seen.time[mine][0]), float(seen.time[mine][-1]), reason, extra)]
+
+
+def given_up(flight: Flight, vehicle: Vehicle, events: Sequence[Event]) -> list[Event]:
+    """Outputs at their lower end since a rotor was lost, which balance it: one claim for each certain loss."""
+    B, found = vehicle.effectiveness(), []
+    fell = [e.onset_s for e in events if e.means.wrong and not e.means.accuses]
+    for e in events:
+        if not (e.means.weakens and len(e.rotors) == 1 and not e.alternatives and e.loss[0] > GONE and "gives" not in e.extra):
+            continue
+        lost = e.rotors[0] - 1
+        end = min([np.inf if e.end_s is None else e.end_s, *(t for t in fell if t > e.onset_s)])
+        before, after = (_outputs(flight, vehicle, (span,)) for span in ((-np.inf, e.onset_s), (e.onset_s + AFTER_S, end)))
+        if not before.time.size or float(after.lasts.sum()) < IDLE_S:
+            continue
+        idle = np.average(after.share <= IDLE, axis=0, weights=after.lasts)
+        opposes = B[:2].T @ B[:2, lost] < 0.0
+        opposes[lost] = False
+        who = [int(k) + 1 for k in np.flatnonzero(opposes & (idle >= IDLE_SHARE) & (np.median(before.share, axis=0) > 2.0 * IDLE))]
+        if not who:
+            continue
+        several = len(who) > 1
+        reason = (
+            f"the output{'s' if several else ''} of {_motors(who)} {'have' if several else 'has'} been at the lower end for "
+            f"{percent(float(min(idle[k - 1] for k in who)))} of the time since {e.onset_s:.1f} s because rotor {lost + 1} gives nothing: "
+            "the mixer gave up what its thrust would balance"
+        )
+        found.append(_claim(GIVEN_UP, e.onset_s, float(after.time[-1]), reason, {"motors": who}))
+    return found
 
 
 def _left(gone: Sequence[Event], n: int) -> np.ndarray:
