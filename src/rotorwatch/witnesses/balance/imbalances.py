@@ -138,7 +138,7 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
         return found
     first = np.zeros(rotors, bool)
     first[[group[0] for group in groups]] = True
-    merged = fitted(np.where(first, speed, 0.0))  # one tone for the rotors of a group
+    merged = fitted(np.where(first | np.isnan(speed), speed, 0.0))  # one tone for the rotors of a group, in the same windows
     if merged is None:
         return found
     return _joined(found, merged, groups)
