@@ -130,7 +130,7 @@ def _raw(scenario: Scenario, plan: Plan, record: Record) -> dict[str, Signal]:
     """The unfiltered accelerometer of a frame that passes the rotors' vibration, and with `esc` the rotors' speeds as often."""
     rng, s, hz = np.random.default_rng([scenario.seed, 6]), scenario.sensors, scenario.logging["raw_hz"]
     time = np.arange(float(record.time[0]), float(record.time[-1]), 1.0 / hz)
-    turning = 2.0 * np.pi * float(plan.sensors.full_turns) * record.w
+    turning = 2.0 * np.pi * float(plan.sensors.full_turns) * escs.turning(scenario, record)
     speed = np.stack([np.interp(time, record.time, w) for w in turning.T], axis=1)
     rotors, usual = speed.shape[1], float(np.median(speed[speed > 0.0])) if (speed > 0.0).any() else 1.0
     unbalance = np.tile(rng.rayleigh(s["imbalance"] / np.sqrt(0.5 * np.pi), rotors), (time.size, 1))

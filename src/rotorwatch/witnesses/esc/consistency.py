@@ -19,7 +19,7 @@ from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.esc import causes, ratios, stopped, telemetry
+from rotorwatch.witnesses.esc import causes, following, ratios, stopped, telemetry
 from rotorwatch.witnesses.esc import changed as watch
 from rotorwatch.witnesses.esc.telemetry import Binned
 
@@ -41,7 +41,8 @@ def check(
     events = tuple(events)
     if "esc" not in flight.signals:
         return events, ()
-    bins, notes = telemetry.read(flight, allocation.rotor_thrusts(flight, vehicle), air)
+    thrust = allocation.rotor_thrusts(flight, vehicle)
+    bins, notes = telemetry.read(flight, thrust, air)
     if bins is None:
         return events, tuple(notes)
     calm = _calm(bins, table, air)
@@ -51,6 +52,8 @@ def check(
     # A loss of known rotors, whose cause is not known yet.
     open_ = [e.means.weakens and not e.alternatives and "cause" not in e.extra for e in events]
     out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
+    left = following.departures(bins, thrust.time, air)
+    out = [following.sooner(e, left) for e in out]
     # Once a rotor is weak, the others work outside the range in which their laws were fitted.
     changed, warnings = watch.examine(bins, calm & healthy.all(axis=1, keepdims=True))
     return joined(out, changed), (*notes, *stopped_notes, *warnings)
