@@ -8,6 +8,7 @@ import pytest
 
 import rotorwatch
 from rotorwatch.errors import ConfigError
+from rotorwatch.fleet import flight_result
 from rotorwatch.flight import Flight, Signal, kinds, vehicle_file
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Weight, kind_of
@@ -395,6 +396,9 @@ def test_a_diagnosis_measures_it_and_says_it_everywhere(hover, tmp_path):
     assert drawn["spectrogram"].x_range is drawn["loss"].x_range
     assert drawn["spectrogram"].y_range.end == pytest.approx(250.0, rel=1e-3)
     assert "Balance of each rotor" in loud.to_markdown()
+    stored = flight_result.imbalance(loud)["imbalance"]
+    assert stored["unit"] == "g mm/kg" and stored["rotors"][1][0] == pytest.approx(loud.rotors[1].imbalance["value"], rel=1e-6)
+    assert flight_result.imbalance(plain) == {}
     assert "balance" not in report_figures.plots(plain)
 
 
