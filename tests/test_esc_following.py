@@ -1,5 +1,6 @@
 """Rotors whose speed leaves what their command asks for: within samples, the right one, and nobody where the telemetry is at fault."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -7,10 +8,12 @@ import pytest
 
 import rotorwatch as rw
 from rotorwatch.flight import Signal
+from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOSS, LOST
 from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.live.esc_notices import Rotors
 from rotorwatch.logs import esc_columns
-from rotorwatch.witnesses.esc.following import Follower
+from rotorwatch.witnesses.esc.following import Departure, Follower, sooner
 from rotorwatch_lab.simulation import scenario, simulate
 
 DT, ONSET, END = 0.002, 8.0, 10.0
@@ -114,6 +117,33 @@ def test_a_loss_is_announced_when_its_speed_shows_it(kind, way):
     event = next(e for e in rw.diagnose(flown(kind)).events if e.kind == "loss_of_effectiveness")
     assert event.rotors == (3,) and event.detected_s - 18.0 < 0.17 and abs(event.onset_s - 18.0) < 0.16
     assert f"{way} what its command asks for" in event.reason
+
+
+LEFT = Departure(5, 20.14, 20.16, 0.0, 12.0)
+
+
+def loss(rotor, alternatives=(), onset=20.2, detected=22.0):
+    return Event(LOSS, (rotor,), onset, detected, None, (1.0,), ((0.9, 1.0),), 0.9, alternatives, "it lacks thrust")
+
+
+def test_a_speed_decides_what_the_motion_leaves_open_or_takes_for_another():
+    known = sooner(loss(6), [LEFT])
+    assert (known.rotors, known.detected_s, known.onset_s, known.probability) == ((6,), 20.16, 20.14, 0.9)
+    either = sooner(loss(5, ((6,),)), [LEFT])
+    assert (either.rotors, either.alternatives) == ((6,), ()) and either.probability > 0.99
+    other = sooner(loss(5), [LEFT])
+    assert other.rotors == (6,) and "while rotor 5 turns as commanded" in other.reason
+    fallen = sooner(replace(loss(5), kind=LOST), [LEFT])
+    assert (fallen.rotors, fallen.detected_s) == ((6,), 22.0)
+
+
+def test_a_speed_changes_no_loss_that_it_does_not_contradict():
+    both = [LEFT, Departure(4, 20.3, 20.32, 0.2, 9.0)]
+    assert sooner(loss(5), both).rotors == (5,)  # its own speed left as well
+    faster = LEFT._replace(ratio=1.15)  # other rotors speed up in a fall, too
+    for event, left in ((loss(5), faster), (loss(5, onset=18.0), LEFT), (loss(6, detected=20.1), LEFT)):
+        assert sooner(event, [left]) is event
+    assert sooner(replace(loss(6), kind=LOST), [LEFT]).reason == "it lacks thrust"
 
 
 def test_a_link_tells_it():

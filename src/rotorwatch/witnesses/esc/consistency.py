@@ -45,15 +45,14 @@ def check(
     bins, notes = telemetry.read(flight, thrust, air)
     if bins is None:
         return events, tuple(notes)
-    calm = _calm(bins, table, air)
+    left, calm = following.departures(bins, thrust.time, air), _calm(bins, table, air)
+    events = tuple(following.sooner(e, left) for e in events)
     stopped_events, stopped_notes = stopped.find(bins, events, air, _upset(bins, table))
     events = (*events, *stopped_events)
     healthy = _healthy(bins, events)
     # A loss of known rotors, whose cause is not known yet.
     open_ = [e.means.weakens and not e.alternatives and "cause" not in e.extra for e in events]
     out = [_with_cause(e, bins, calm, healthy, air) if ask else e for e, ask in zip(events, open_)]
-    left = following.departures(bins, thrust.time, air)
-    out = [following.sooner(e, left) for e in out]
     # Once a rotor is weak, the others work outside the range in which their laws were fitted.
     changed, warnings = watch.examine(bins, calm & healthy.all(axis=1, keepdims=True))
     return joined(out, changed), (*notes, *stopped_notes, *warnings)

@@ -29,6 +29,7 @@ from rotorwatch.answer.wording import percent, seconds
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, hold, within
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch.flight.kinds import LOST
 from rotorwatch.witnesses.esc.changed import probability_of
 from rotorwatch.witnesses.esc.telemetry import Binned
 
@@ -47,6 +48,7 @@ FOLLOWS, FOLLOWED_S, MOSTLY = 3.0, 0.5, 0.8  # sd, time and share in which a rot
 RETURNED, RETURNS_S = 0.5, 0.3  # share of the reports of so long in which a rotor that left follows again
 
 BEFORE_S, LEAVES_S = 1.0, 0.15  # uncertainty of an onset by the motion; in which a speed leaves after a loss
+STOPPED, AT_ONCE_S = 0.5, 0.3  # of its predicted speed; between the onsets of one loss
 
 
 class Fit(NamedTuple):
@@ -252,29 +254,36 @@ def departures(bins: Binned, sent: np.ndarray, air: Spans) -> list[Departure]:
     for span in air:
         rows = within(time, (span,))
         left = follower.add(time[rows], speed[rows], bins.commanded[rows], age[rows] < GAP_S)
-        out += [d for d in left if d.rotor in follower.gone and follower.gone[d.rotor].onset == d.onset]
+        stayed = (follower.gone.get(d.rotor) for d in left)
+        out += [now for d, now in zip(left, stayed) if now is not None and now.onset == d.onset]
         follower.gone.clear()
     return out
 
 
 def sooner(event: Event, left: Sequence[Departure]) -> Event:
-    """A loss with the time at which a speed has shown it, where that is earlier, and its rotor, where the motion leaves that open."""
+    """A loss, of thrust or control, with the time at which a speed has shown it, where that is earlier, and its rotor, where the motion
+    leaves that open, or has taken one that turns as commanded for one that has stopped at that time."""
     near = [d for d in left if event.onset_s - BEFORE_S < d.onset < event.detected_s]
-    if not near or not event.means.weakens or len(event.rotors) != 1:
+    if not near or not (event.means.weakens or event.kind == LOST) or len(event.rotors) != 1:
         return event
     first = min(near, key=lambda d: d.certain)
-    who = first.rotor + 1
-    if who not in event.suspects or first.certain > event.detected_s:
+    who, named = first.rotor + 1, event.rotors[0]
+    stands = first.ratio < STOPPED and abs(event.onset_s - first.onset) < AT_ONCE_S and all(d.rotor + 1 != named for d in near)
+    if first.certain > event.detected_s or not (who in event.suspects or stands):
         return event
-    told = f"from {seconds(first.onset)} on its ESC shows a speed {in_words(first)}"
-    named = (
+    told = f"from {seconds(first.onset)} on the ESC of rotor {who} shows a speed {in_words(first)}"
+    if who not in event.suspects:
+        told += f", while rotor {named} turns as commanded"
+    more = (
         {}
-        if event.rotors == (who,) and not event.alternatives
+        if (who,) == event.rotors and not event.alternatives
         else {"rotors": (who,), "alternatives": (), "probability": probability_of(first.sigmas)}
     )
     reason = f"{event.reason.removesuffix('.')}; {told}"
+    if event.kind == LOST:  # which comes later
+        return replace(event, reason=reason, **more) if more else event
     onset = min(max(event.onset_s, first.onset - LEAVES_S), first.onset)
-    return replace(event, onset_s=onset, detected_s=first.certain, reason=reason, **named)
+    return replace(event, onset_s=onset, detected_s=first.certain, reason=reason, **more)
 
 
 def in_words(left: Departure) -> str:
