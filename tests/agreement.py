@@ -586,7 +586,7 @@ FIELDS = {
     "compared": HIDDEN,
     **{
         f"compared[].{name}": HIDDEN
-        for name in ("onset_s", "rotors", "rotors[]", "named", "alternatives", "alternatives[]", "origin", "grows")
+        for name in ("onset_s", "rotors", "rotors[]", "named", "alternatives", "alternatives[]", "origin", "grows", "said", "said[]")
     },
     **{f"compared[].{name}": HIDDEN for name in ("decision", "probability", "probability_none", "explanations")},
     **{f"compared[].explanations[].{name}": HIDDEN for name in ("name", "beside", "rotors", "rotors[]", "weak", "weak[]", "nats")},

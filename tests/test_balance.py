@@ -8,6 +8,7 @@ import pytest
 
 import rotorwatch
 from rotorwatch.errors import ConfigError
+from rotorwatch.fleet import flight_result
 from rotorwatch.flight import Flight, Signal, kinds, vehicle_file
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.kinds import Weight, kind_of
@@ -123,6 +124,26 @@ def test_rotors_at_one_speed_are_named_together_and_apart_where_they_part():
     parted = heard(flown([1.0, 0.5, 1.4, 0.2], speed=parting))
     assert values(parted) == pytest.approx([1.0, 0.5, 1.4, 0.2], abs=0.08)
     assert parted.figures[2].windows < parted.figures[1].windows
+
+
+def test_many_rotors_at_nearly_one_speed_have_a_fit():
+    time = np.arange(0.0, 6.0, 0.001)
+    rng = np.random.default_rng(0)
+    for apart in 10.0 ** np.arange(-8.0, -2.0):
+        speed = 400.0 * (1.0 + apart * rng.standard_normal(8)) * (1.0 + 0.02 * np.sin(time))[:, None]
+        windows = orders.fit(time, rng.standard_normal((len(time), 3)), speed, 2.0)
+        assert windows is not None and np.isfinite(windows.power).all() and (windows.inflation[:, 0] > 100.0).all()
+
+
+def test_rotors_at_one_speed_of_which_one_is_missing_for_a_while():
+    """The fit of the group has the windows of the fit of each."""
+    flight = with_speeds(
+        flown([40.0, 60.0, 25.0, 55.0], speed=lambda t: wandering(t)[:, [0, 0, 2, 3]]), lambda t, w: np.where(
+            ((t > 5.0) & (t < 7.0))[:, None] & (np.arange(4) == 1), np.nan, w)
+    )  # fmt: skip
+    found = heard(flight)
+    assert found.figures[0] is not None and found.figures[0].together == (1, 2)
+    assert len(found.used) == len(found.windows.time)
 
 
 def test_a_change_of_rotors_at_one_speed_names_them_all():
@@ -278,6 +299,17 @@ def test_speeds_that_are_wrong_make_no_finding(change):
     assert found is None or not unbalanced.findings(found)
 
 
+def test_motors_that_reverse_in_flight_make_no_finding():
+    """3D modes: the rotors stop, and turn the other way; telemetry has no sign."""
+
+    def reversing(t):
+        return np.abs(wandering(t) * np.clip(8.0 * np.sin(0.4 * t), -1.0, 1.0)[:, None])
+
+    found = heard(flown([1.0, 0.5, 1.6, 0.4], duration=40.0, speed=reversing))
+    assert values(found) == pytest.approx([1.0, 0.5, 1.6, 0.4], abs=0.1)
+    assert not unbalanced.findings(found)
+
+
 def test_gaps_and_jitter_make_no_finding():
     flight = flown([1.0, 0.5, 1.6, 0.4], duration=30.0)
     sensor, rng = flight["raw_accel"], np.random.default_rng(2)
@@ -364,6 +396,9 @@ def test_a_diagnosis_measures_it_and_says_it_everywhere(hover, tmp_path):
     assert drawn["spectrogram"].x_range is drawn["loss"].x_range
     assert drawn["spectrogram"].y_range.end == pytest.approx(250.0, rel=1e-3)
     assert "Balance of each rotor" in loud.to_markdown()
+    stored = flight_result.imbalance(loud)["imbalance"]
+    assert stored["unit"] == "g mm/kg" and stored["rotors"][1][0] == pytest.approx(loud.rotors[1].imbalance["value"], rel=1e-6)
+    assert flight_result.imbalance(plain) == {}
     assert "balance" not in report_figures.plots(plain)
 
 

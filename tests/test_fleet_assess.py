@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fleet_history import SD, columns, row, wrench
-from rotorwatch.fleet import assess
+from rotorwatch.fleet import assess, fleet_pages
 
 
 def flights(theta, seed=0, aircraft="A", **more):
@@ -191,3 +191,22 @@ def test_aircraft_of_healthy_fleets_are_left_alone():
     rows = {f"A{k}": flights(losses(30, 4 if k % 2 else 6), seed=50 + k, aircraft=f"A{k}", build=str(k % 2)) for k in range(12)}
     found, _ = assess.standings(rows, {})
     assert not any(r["named"] for one in found.values() for r in one["rotors"])
+
+
+def heard(k, rotors):
+    """A flight whose imbalances were heard."""
+    one = row(k, np.zeros(3), len(rotors))
+    return one | {"trim": one["trim"] | {"imbalance": {"unit": "g mm/kg", "rotors": rotors}}}
+
+
+def test_the_imbalance_of_each_rotor_over_the_flights():
+    figures = [[[1.0 + 0.1 * k, 0.9, 1.1 + 0.1 * k], None, [0.5, 0.4, 0.6], [0.7, 0.6, 0.8]] for k in range(30)]
+    rows = [heard(k, f) if k % 3 else row(k, np.zeros(3), 4) for k, f in enumerate(figures)]
+    _, points = assess.standings({"A": rows, "B": flights(losses(30, 4), aircraft="B")}, {})
+    assert points["A"]["unit"] == "g mm/kg" and "imbalance" not in points["B"]
+    assert points["A"]["imbalance"][:3] == [None, figures[1], figures[2]] and "loss" in points["A"]
+    page = fleet_pages._balance(points["A"])
+    assert page.count("<svg") == 3 and page.count("<circle") == 60 and "g mm/kg" in page and "Imbalance of rotor 2" not in page
+    few = assess.standings({"A": [heard(0, figures[0]) | {"verdict": "fault"}]}, {})[1]["A"]
+    aircraft = {"name": "A", "flights": 1, "airborne_s": 60.0, "build": "one", "identities": ["x"], "standing": None}
+    assert "loss" not in few and "Imbalance of rotor 1" in fleet_pages._aircraft(aircraft, few, ())

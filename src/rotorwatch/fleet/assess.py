@@ -84,11 +84,12 @@ def standings(
     keys = sorted(explained)
     evidence = np.concatenate([explained[key][2].evidence for key in keys] or [np.zeros(0)])
     names = iter(false_discovery.named(evidence).tolist())
-    found, points = {one.key: _unknown(one) for one in histories if one.key not in explained}, {}
+    found = {one.key: _unknown(one) for one in histories if one.key not in explained}
+    points = {one.key: heard for one in histories if (heard := _heard(one))}
     for key in keys:
         one, series, what, sisters = explained[key]
         found[key] = _standing(one, series, what, sisters, [next(names) for _ in what.evidence])
-        points[key] = _points(one, what)
+        points[key] = points.get(key, {}) | _points(one, what)
     return found, points
 
 
@@ -349,6 +350,14 @@ def _outlook(p: Mapping) -> str:
     low, high = p["hours_left_interval"]
     until = f"{low:.1f} to {high:.1f} h" if high is not None else f"{low:.1f} h or later"
     return f"; {100 * p['limit']:.0f} % in about {p['hours_left']:.1f} h in the air ({until})"
+
+
+def _heard(one: History) -> dict:
+    """`imbalance`: of every flight that of each rotor with its interval, or None, in one `unit`, the last; empty where no flight was
+    heard."""
+    heard = [r["trim"].get("imbalance") for r in one.rows]
+    unit = next((h["unit"] for h in reversed(heard) if h), None)
+    return {"unit": unit, "imbalance": [h["rotors"] if h and h["unit"] == unit else None for h in heard]} if unit else {}
 
 
 def _points(one: History, found: Found) -> dict:

@@ -1,4 +1,5 @@
-"""A fleet as pages: a list of all aircraft, and one page for each with its rotors' losses over the flights as SVG. They need no network."""
+"""A fleet as pages: a list of all aircraft, and one page for each with its rotors' losses and imbalances over the flights as SVG. They need
+no network."""
 
 from __future__ import annotations
 
@@ -83,9 +84,10 @@ def _aircraft(a: Mapping, points: Mapping, services: Sequence[Mapping]) -> str:
     standing = a["standing"]
     about = f"{a['flights']} flights, {a['airborne_s'] / 3600:.1f} h in the air. {a['build']}. Known by {'; '.join(a['identities'])}."
     body = [f'<p><a href="index.html">The fleet</a></p><p>{escape(about)}</p>']
-    if standing is None or not points:
+    balance = _balance(points) if "imbalance" in points else ""
+    if standing is None or "loss" not in points:
         headline = standing["headline"] if standing else "Not assessed yet."
-        return _page(a["name"], body[0] + f'<p class="lead">{escape(headline)}</p>')
+        return _page(a["name"], body[0] + f'<p class="lead">{escape(headline)}</p>{balance}')
     body.append(f'<p class="lead">{escape(standing["headline"])}</p>')
     for i, r in enumerate(standing["rotors"]):
         low, high = r["interval"]
@@ -95,12 +97,46 @@ def _aircraft(a: Mapping, points: Mapping, services: Sequence[Mapping]) -> str:
         )
         alone = [row[i] if row else None for row in points["loss"]]
         body.append(_drawn(r["rotor"], alone, [e[i] for e in points["explained"]], standing))
+    body.append(balance)
     lines = [f"<li>{escape(_service(s))}</li>" for s in services]
     body.append(f"<h2>Maintenance</h2><ul>{''.join(lines)}</ul>" if lines else "")
     left = "".join(f"<li>{escape(o['name'])}: {escape(o['why'])}</li>" for o in standing["left_out"])
     used = f"{standing['used']} of {standing['flights']} flights were used."
     body.append(f"<p>{used}</p>" + (f"<ul>{left}</ul>" if left else ""))
     return _page(a["name"], "".join(body))
+
+
+def _balance(points: Mapping) -> str:
+    """Imbalance of each rotor over the flights, with its intervals, on one scale."""
+    flights, unit = points["imbalance"], escape(points["unit"])
+    rotors = range(max(len(row) for row in flights if row))
+    columns = [[row[i] if row and i < len(row) else None for row in flights] for i in rotors]
+    top = 1.05 * max(one[2] for column in columns for one in column if one)
+    drawn = "".join(f"<p>Rotor {i + 1}</p>{_figures(i + 1, column, top)}" for i, column in enumerate(columns) if any(column))
+    return f"<h2>Balance</h2><p>Vibration once per turn over speed squared, {unit}, with 95 % intervals.</p>{drawn}"
+
+
+def _figures(rotor: int, figures: Sequence[Sequence[float] | None], top: float) -> str:
+    K, parts = len(figures), []
+
+    def height(v: float) -> float:
+        return TOP + (HEIGHT - TOP - BOTTOM) * (1.0 - v / top)
+
+    for v in (0.0, 0.5 * top):
+        parts.append(f'<line x1="{LEFT}" y1="{height(v):.1f}" x2="{WIDTH - 8}" y2="{height(v):.1f}" stroke="#8886"/>')
+        parts.append(f'<text x="4" y="{height(v) + 4:.1f}">{v:.3g}</text>')
+    for k, one in enumerate(figures):
+        if one:
+            x, (value, low, high) = LEFT + (WIDTH - LEFT - 8) * (k + 0.5) / K, one
+            parts.append(f'<line x1="{x:.1f}" y1="{height(low):.1f}" x2="{x:.1f}" y2="{height(high):.1f}" stroke="#4a7ebb"/>')
+            parts.append(f'<circle cx="{x:.1f}" cy="{height(value):.1f}" r="2" fill="#4a7ebb"/>')
+    parts.append(_ends(K))
+    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Imbalance of rotor {rotor} over the flights">{"".join(parts)}</svg>'
+
+
+def _ends(K: int) -> str:
+    last = f'<text x="{WIDTH - 8}" y="{HEIGHT - 4}" text-anchor="end">flight {K}</text>'
+    return f'<text x="{LEFT}" y="{HEIGHT - 4}">flight 1</text>{last}'
 
 
 def _service(s: Mapping) -> str:
@@ -133,6 +169,5 @@ def _drawn(rotor: int, loss: Sequence[float | None], line: Sequence[float], stan
     parts += [f'<circle cx="{x}" cy="{y}" r="2" fill="#4a7ebb" fill-opacity=".7"/>' for x, y in dots]
     course = " ".join(at(k, v) for k, v in enumerate(line))
     parts.append(f'<polyline points="{course}" fill="none" stroke="#c0392b" stroke-width="1.5"/>')
-    parts.append(f'<text x="{LEFT}" y="{HEIGHT - 4}">flight 1</text>')
-    parts.append(f'<text x="{WIDTH - 8}" y="{HEIGHT - 4}" text-anchor="end">flight {K}</text>')
+    parts.append(_ends(K))
     return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Loss of rotor {rotor} over the flights">{"".join(parts)}</svg>'

@@ -60,7 +60,7 @@ def of_flight(
         headline=str(diagnosed["headline"]),
         version=__version__,
         diagnosis=diagnosed,
-        trim=trim(flight, craft, air, found.doubts) | ({"lost": True} if found.story else {}),
+        trim=trim(flight, craft, air, found.doubts) | imbalance(found) | ({"lost": True} if found.story else {}),
     )
 
 
@@ -72,6 +72,16 @@ def trim(flight: Flight, craft: Vehicle, air, doubts: Sequence[str]) -> dict:
         return {}
     table = hovering.to_dict() | {"name": "", "effectiveness": craft.effectiveness().tolist()}
     return _short(table) | {"doubt": doubts[0] if doubts else ""}
+
+
+def imbalance(found: Diagnosis) -> dict:
+    """`imbalance`, for histories: of each rotor its figure with its interval, None where it was not heard by itself, and their unit; empty
+    where none was."""
+    heard = [r.imbalance if r.imbalance and len(r.imbalance["together"]) == 1 else None for r in found.rotors]
+    if not any(heard):
+        return {}
+    unit = next(one["unit"] for one in heard if one)
+    return {"imbalance": {"unit": unit, "rotors": [one and _short([one["value"], *one["interval"]]) for one in heard]}}
 
 
 def _short(value):

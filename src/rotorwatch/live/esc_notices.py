@@ -1,7 +1,8 @@
 """ESC telemetry of a flying vehicle: the rotors' speeds, and rotors that stop though they are commanded to turn.
 
 The causal part of the rule of `esc.stopped`: a rotor below STANDS of its usual speed in REPORTS reports in a row, commanded more than
-COMMANDED of its usual command, while two others turn. The vehicle's motion is evaluated separately.
+COMMANDED of its usual command, while two others turn; and that of `esc.following` where telemetry is fast. The vehicle's motion is
+evaluated separately.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ import numpy as np
 
 from rotorwatch.answer.wording import rotors
 from rotorwatch.flight import Signal
+from rotorwatch.flight.vehicle import ThrustCurve
 from rotorwatch.logs.esc_columns import RPM
+from rotorwatch.witnesses.esc.following import GAP_S, Follower, in_words
 from rotorwatch.witnesses.esc.stopped import COMMANDED, OTHERS_TURN, REPORTS, STANDS
 
 USUAL_REPORTS, LEAST = 300, 20  # reports for the usual speed
@@ -29,18 +32,37 @@ class Rotors:
         self._bad = np.zeros(0, int)
         self._turned: dict[int, float] = {}  # stopped rotor, from 0 -> time since which it turns again
         self._command: np.ndarray | None = None
+        self._sent = -np.inf
+        self._follower: Follower | None = None
 
-    def examine(self, esc: Signal | None, motors: Signal | None, flying: bool) -> list[tuple[int, str]]:
-        """Add telemetry, and the commands that came with it; returns (rotor, sentence) of new findings."""
+    def examine(self, esc: Signal | None, motors: Signal | None, flying: bool, curve: ThrustCurve | None = None) -> list[tuple[int, str]]:
+        """Add telemetry, and the commands that came with it; returns (rotor, sentence) of new findings. curve: from commands to thrust."""
+        before, since = self._command, self._sent
         if motors is not None and len(motors):
-            self._command = np.where(motors.valid[-1], motors.values[-1], 0.0)
+            self._command, self._sent = np.where(motors.valid[-1], motors.values[-1], 0.0), float(motors.time[-1])
         if esc is None or not len(esc) or self._command is None:
             return []
         changes, count = [], sum(name.startswith("speed") for name in esc.columns)
         speeds = np.where(esc.valid[:, :count], esc.values[:, :count], np.nan)
         for time, speed in zip(esc.time.tolist(), speeds):
             changes += self._report(time, speed, flying)
-        return changes
+        if not flying or curve is None or self._command.size != count:
+            return changes
+        times, sent = np.array([since]), (self._command if before is None else before)[None]
+        if motors is not None and len(motors) and motors.values.shape[1] == count:
+            times, sent = np.append(times, motors.time), np.concatenate([sent, np.where(motors.valid, motors.values, 0.0)])
+        row = np.maximum(np.searchsorted(times, esc.time, side="right") - 1, 0)
+        return changes + self._left(esc.time, speeds, curve(sent[row]), esc.time - times[row] < GAP_S)
+
+    def _left(self, time: np.ndarray, speeds: np.ndarray, thrust: np.ndarray, fresh: np.ndarray) -> list[tuple[int, str]]:
+        """The rotor whose speed leaves what its command asks for (`esc.following`), the first one; none where anything is slow."""
+        if self._follower is None or self._follower.size != thrust.shape[1]:
+            self._follower = Follower(thrust.shape[1])
+        known = list(self._follower.gone)
+        left = self._follower.add(time, speeds, thrust, fresh)[: not known]
+        back = [k for k in known if k not in self._follower.gone]
+        told = [(d.rotor + 1, f"the ESC of {rotors([d.rotor + 1])} reports a speed {in_words(d)} since {d.onset:.2f} s") for d in left]
+        return told + [(k + 1, f"the speed of {rotors([k + 1])} follows its command again at {time[-1]:.1f} s") for k in back]
 
     def _report(self, time: float, speed: np.ndarray, flying: bool) -> list[tuple[int, str]]:
         known = np.isfinite(speed)

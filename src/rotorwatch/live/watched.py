@@ -104,7 +104,8 @@ class Watched:
         try:
             known = self.session.vehicle
             self.session.add(signals, messages)
-            for rotor, text in self.rotors.examine(signals.get("esc"), signals.get("motors"), self.session.flying):
+            curve = None if known is None else known.curve
+            for rotor, text in self.rotors.examine(signals.get("esc"), signals.get("motors"), self.session.flying, curve):
                 self.say(text, rotor=rotor)
             if known is None and self.session.vehicle is not None:
                 frame = self.session.vehicle

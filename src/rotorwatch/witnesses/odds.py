@@ -1,8 +1,9 @@
 """The odds of an explanation: its prior log weight and its evidence, and what follows from them for a claim.
 
-With the evidence log p_e of explanation e (`engine.estimator.explanations`) and its log weight w_e
+With the evidence log p_e of explanation e (`engine.estimator.explanations`), its log weight w_e, and the log-odds h_i by which others
+testify to a loss of rotor i (`View.testimony`), summed over the rotors that lose thrust under e,
 
-    P(loss of these rotors) = sum of exp(w_e + b log p_e) over explanations with it / sum over all
+    P(loss of these rotors) = sum of exp(w_e + b log p_e + h_e) over explanations with it / sum over all
 
 `rotorwatch fit-odds` fits the weights and the temper b to flights whose truth is known (docs/tuning.md). Where the rest is ten times
 likelier, the loss is no event. Where it is not ten times less likely, it is an open claim, and where another rotor is not, that rotor is an
@@ -121,7 +122,8 @@ class Weighed(NamedTuple):
 @dataclass(frozen=True)
 class Comparison:
     """A claim and its explanations. rotors: claimed, from 1. named: a loss of them is claimed, else of any one of them. origin: source of
-    the claim. grows: slowly. n: rotors of the vehicle. rows: of a named claim the first is its loss."""
+    the claim. grows: slowly. n: rotors of the vehicle. rows: of a named claim the first is its loss. said (n,): testimony on each rotor;
+    empty: none."""
 
     onset_s: float
     rotors: tuple[int, ...]
@@ -131,11 +133,13 @@ class Comparison:
     grows: bool
     n: int
     rows: tuple[Row, ...]
+    said: tuple[float, ...] = ()
 
     def logs(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> np.ndarray:
-        """Log weight and evidence of each row."""
+        """Log weight, evidence and testimony of each row."""
         w, b = WEIGHTS if weights is None else weights, TEMPER if temper is None else temper
-        return np.array([sum(w[name] for name in self.weights(r)) + b * r.log_p for r in self.rows])
+        said = self.said or (0.0,) * self.n
+        return np.array([sum(w[name] for name in self.weights(r)) + b * r.log_p + sum(said[i] for i in r.weak) for r in self.rows])
 
     def weights(self, one: Row) -> tuple[str, ...]:
         """Names in WEIGHTS of what adds to the log weight of a row."""
@@ -204,7 +208,8 @@ class Comparison:
         found = self.weighed()
         return {
             "onset_s": self.onset_s, "rotors": self.rotors, "named": self.named, "alternatives": self.alternatives, "origin": self.origin,
-            "grows": self.grows, "decision": self.decided(found).value, "probability": found.claim, "probability_none": found.none,
+            "grows": self.grows, "said": [round(x, 3) for x in self.said],
+            "decision": self.decided(found).value, "probability": found.claim, "probability_none": found.none,
             "explanations": [
                 {
                     "name": r.name, "beside": r.beside, "rotors": [i + 1 for i in r.rotors], "weak": [i + 1 for i in r.weak],
@@ -224,5 +229,6 @@ def read(found: Mapping[str, Any], n: int) -> Comparison:
     )
     alternatives = tuple(tuple(a) for a in found["alternatives"])
     return Comparison(
-        found["onset_s"], tuple(found["rotors"]), found["named"], alternatives, found["origin"], found["grows"], n, rows
+        found["onset_s"], tuple(found["rotors"]), found["named"], alternatives, found["origin"], found["grows"], n, rows,
+        tuple(found.get("said", ())),
     )  # fmt: skip

@@ -21,7 +21,7 @@ from rotorwatch.engine.estimator.plant import ANSWER_S
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, Kind, Weight, Words, register
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
 from rotorwatch.witnesses.odds import SCAN, Comparison, Decision, Rival, Weighed, row
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
@@ -38,7 +38,7 @@ register(
         ),
     )
 )  # fmt: skip
-SOURCE = Source(SCAN, 3)
+SOURCE, HEARD = Source(SCAN, 3), Source("balance", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
 LANDED_S = 1.0  # of the log after a landing
@@ -113,12 +113,12 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     them = rivals(view.B.shape[1], claim, end_s, {q: float(np.quantile(highest, q)) for q in CAPS} if claim else None)
     also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
-    fits = compare(where, [r.how for r in them])
+    fits, said = compare(where, [r.how for r in them]), tuple(map(float, view.said(event.onset_s)))
 
     def compared() -> Comparison:
         return Comparison(
             event.onset_s, event.rotors, named, event.alternatives if named else (), event.source.name, "grew_until_s" in event.extra,
-            view.B.shape[1], tuple(map(row, them, fits)),
+            view.B.shape[1], tuple(map(row, them, fits)), said,
         )  # fmt: skip
 
     if claim:
@@ -201,7 +201,7 @@ def _hear(view: View, events: Events) -> Events:
             event, claim = _settled(view, c, kept)
             kept += event
             open_ += claim
-    for c in _suspects(view, kept):
+    for c in (*_suspects(view, kept), *_unbalanced(events, kept)):
         kept += _settled(view, c, kept)[0]
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
@@ -292,6 +292,16 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
     since = np.flatnonzero(ahead[:, rotor] > most - LATELY)[-1]
     onset = float(table.command_time[since])
     return [residual_evidence.claim((rotor + 1,), onset, float(table.time[-1]), source=SOURCE)]
+
+
+def _unbalanced(events: Sequence[Event], kept: Sequence[Event]) -> list[Event]:
+    """Rotors that became out of balance while no loss of theirs is known: to be compared, too."""
+    lost = {r for e in kept if e.kind == LOSS for r in e.suspects}
+    return [
+        residual_evidence.claim(tuple(sorted(e.suspects)), e.onset_s, e.detected_s, source=HEARD)
+        for e in events
+        if e.kind == UNBALANCED and lost.isdisjoint(e.suspects)
+    ]
 
 
 def _named(event: Event, found: Weighed) -> Event:

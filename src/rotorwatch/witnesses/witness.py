@@ -58,7 +58,8 @@ class View:
     known: `vehicle` holds what healthy flights have shown, `dynamics` their gains and noise. learned: the estimator's last state. lost:
     times of losses of control [s]. spins: ((start, end), ...) s in which the vehicle spins and flies on. consistent: the log does not
     contradict itself. events, open: see `Stage`. facts: results by name, for the report. assumptions, warnings: sentences for the answer; a
-    witness adds its own. merged: claims -> the events that they make.
+    witness adds its own. merged: claims -> the events that they make. testimony: what witnesses say on a loss of each rotor's thrust at a
+    time, or since take-off (None): (n,) log-odds.
     """
 
     flight: Flight
@@ -82,6 +83,11 @@ class View:
     assumptions: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     merged: Callable[[Events], Events] = lambda claims: claims
+    testimony: list[Callable[[float | None], np.ndarray]] = field(default_factory=list)
+
+    def said(self, onset: float | None) -> np.ndarray:
+        """(n,) sum of the testimony on a loss of each rotor's thrust at `onset` s, None: since take-off."""
+        return sum((one(onset) for one in self.testimony), np.zeros(self.B.shape[1]))
 
     @functools.cached_property
     def table(self) -> Ticks | None:

@@ -130,12 +130,16 @@ def _raw(scenario: Scenario, plan: Plan, record: Record) -> dict[str, Signal]:
     """The unfiltered accelerometer of a frame that passes the rotors' vibration, and with `esc` the rotors' speeds as often."""
     rng, s, hz = np.random.default_rng([scenario.seed, 6]), scenario.sensors, scenario.logging["raw_hz"]
     time = np.arange(float(record.time[0]), float(record.time[-1]), 1.0 / hz)
-    turning = 2.0 * np.pi * float(plan.sensors.full_turns) * record.w
+    turning = 2.0 * np.pi * float(plan.sensors.full_turns) * escs.turning(scenario, record)
     speed = np.stack([np.interp(time, record.time, w) for w in turning.T], axis=1)
     rotors, usual = speed.shape[1], float(np.median(speed[speed > 0.0])) if (speed > 0.0).any() else 1.0
-    unbalance = np.tile(rng.rayleigh(s["imbalance"] / np.sqrt(0.5 * np.pi), rotors), (time.size, 1))
+    unbalance = np.tile(rng.rayleigh(s["imbalance"] / np.sqrt(0.5 * np.pi), rotors).astype(complex), (time.size, 1))
     changed = min(s["imbalance_rotor"], rotors) - 1
     unbalance[:, changed] *= np.where(time >= s["imbalance_onset_s"], s["imbalance_times"], 1.0)
+    for fault in scenario.faults:  # the piece that a blade lost is missing at any angle to the old unbalance
+        if fault["kind"] == "chipped":
+            grown = np.clip((time - fault["onset_s"]) / max(fault["ramp_s"], 1e-9), 0.0, 1.0)
+            unbalance[:, fault["rotor"] - 1] += vibration.chip(fault["strength"], usual) * grown * np.exp(2j * np.pi * rng.random())
     frame = vibration.drawn(np.sign([r.spin for r in vehicle(scenario).rotors]), usual, rng)
     angle = vibration.angles(time, speed) + rng.uniform(0.0, 2.0 * np.pi, rotors)
     values = np.stack([np.interp(time, record.time, a) for a in record.accel.T], axis=1)

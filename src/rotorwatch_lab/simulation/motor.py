@@ -15,6 +15,8 @@ The propeller's torque is q = w^2 (1 - its loss); a bad bearing adds a friction 
 
 from __future__ import annotations
 
+import numpy as np
+
 from rotorwatch.base.backend import jax as load_jax
 
 COPPER = 0.12  # of full voltage lost in the windings at full load: usual of multirotor motors, whose efficiency there is 0.8 to 0.85
@@ -43,6 +45,11 @@ def current(full, w, theta, friction, sag, driven):
     i = (1.0 - IDLE) * w * w * (1.0 - theta) + (IDLE + friction) * moving
     volts = COPPER * i + (1.0 - COPPER) * w
     return full * driven * volts * i / jnp.maximum(sag, 0.1)
+
+
+def unloaded(w: np.ndarray) -> np.ndarray:
+    """Speeds at the same d V without a propeller, of motors that turn at w with one; shares of full."""
+    return w * (1.0 + COPPER * (1.0 - IDLE) / (1.0 - COPPER) * w)
 
 
 def _turning(w):

@@ -23,7 +23,14 @@ from rotorwatch.logs import esc_columns
 
 MICRO = 1e-6
 BENDS = 0.35  # standard deviation of a drawn frame's gain, on each axis
+CHIP, TIP_M_S = 1.2e-4, 120.0  # radii, of a rotor with this tip speed in hover
 TO_RATE = 0.5  # 1/m: angular acceleration of a drawn frame for an acceleration of 1 m/s^2
+
+
+def chip(lost: float, usual: float) -> float:
+    """Unbalance [g mm/kg] of a rotor that turns at `usual` rad/s in hover, one of whose blades lost a tip and a share of the rotor's
+    thrust: 5 % of it with 5 % of the blade's length, 3 % of its mass, which is 0.4 % of the vehicle's (1.2e-4 radii)."""
+    return CHIP * lost / 0.05 * TIP_M_S / usual / MICRO
 
 
 class Frame(NamedTuple):

@@ -4,6 +4,7 @@ hearing.py     which sensor hears, and which setting is missing where none does
 orders.py      the orders of each rotor in windows: least squares at its angle
 imbalances.py  one figure for each rotor, with its interval
 unbalanced.py  against the other rotors, earlier flights, and the flight before
+testimony.py   what that says on a loss of thrust, as log-odds
 
 A propeller that lost a piece of a blade is out of balance long before its thrust shows it. Alone that is a notice, never a loss of thrust.
 """
@@ -42,14 +43,16 @@ def _claims(view: View) -> Iterator[Event]:
     if not air or hearing.deaf(view.flight, n) is not None:
         return
     from rotorwatch.answer.wording import rotors
-    from rotorwatch.witnesses.balance import imbalances, unbalanced
+    from rotorwatch.witnesses.balance import imbalances, testimony, unbalanced
 
     found = imbalances.listen(view.flight, n, air)
     if found is None:
         return
     view.facts["imbalance"] = found
     view.warnings += found.doubts
-    for one in unbalanced.findings(found, (view.vehicle.identified or {}).get("imbalance", ())):
+    earlier = (view.vehicle.identified or {}).get("imbalance", ())
+    view.testimony.append(lambda onset: testimony.from_takeoff(found, earlier) if onset is None else testimony.at(found, onset))
+    for one in unbalanced.findings(found, earlier):
         reason, extra = unbalanced.described(one, found.channel.unit, rotors(one.rotors))
         named, others = one.rotors[:1], tuple((r,) for r in one.rotors[1:])
         began = one.onset is not None

@@ -138,7 +138,7 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
         return found
     first = np.zeros(rotors, bool)
     first[[group[0] for group in groups]] = True
-    merged = fitted(np.where(first, speed, 0.0))  # one tone for the rotors of a group
+    merged = fitted(np.where(first | np.isnan(speed), speed, 0.0))  # one tone for the rotors of a group, in the same windows
     if merged is None:
         return found
     return _joined(found, merged, groups)
@@ -228,22 +228,26 @@ def _exchanged(flight: Flight, time: np.ndarray, speed: np.ndarray, valid: np.nd
 def _other_poles(flight: Flight, found: Heard, trial: Callable[[float], Windows | None]) -> str:
     """A sentence where the tones are at another multiple of the logged speeds, as with a wrong number of poles; empty where not."""
 
-    def strength(w: Windows | None) -> float:
+    def strengths(w: Windows | None) -> list[float]:
         if w is None:
-            return 0.0
+            return []
         fine = w.inflation[:, 0] < APART
-        parts = [
-            w.power[fine[:, k], 0, k].mean() / w.noise[fine[:, k], 0, k].mean()
+        return [
+            float(w.power[fine[:, k], 0, k].mean() / w.noise[fine[:, k], 0, k].mean())
             for k in range(fine.shape[1])
             if fine[:, k].sum() >= LEAST_WINDOWS
         ]
-        return float(median(np.array(parts))) if parts else 0.0
 
-    there = strength(found.windows)
+    there = max(strengths(found.windows), default=np.inf)  # of the rotors that are heard apart; without one nothing is known
     if there > CLEAR:
         return ""
+
+    def strength(other: float) -> float:
+        parts = strengths(trial(poles / other))
+        return float(median(np.array(parts))) if parts else 0.0
+
     poles = next((p for name in POLES_OF if (p := flight.parameters.get(name, 0.0)) > 0.0), USUAL_POLES)
-    tried = [(strength(trial(poles / other)), other) for other in POLES if other != poles]
+    tried = [(strength(other), other) for other in POLES if other != poles]
     best, other = max(tried)
     if best < CLEAR or best < BETTER * there:
         return ""

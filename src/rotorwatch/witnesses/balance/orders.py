@@ -35,7 +35,7 @@ SPEED_GAP_S = 0.125  # between two reports of a speed, to integrate it
 MOST = 240  # windows of a flight, spread over it: enough for an interval of a tenth, within a tenth of a second
 ENOUGH = 3.0  # samples of a window for each unknown: of more, every second, third .. is taken
 CELLS = 1 << 15  # samples times columns fitted at once
-TINY = 1e-6  # on the diagonal, so that two rotors at one speed have a fit at all
+TINY = 1e-4  # on the diagonal, beyond the rounding of products (4 bytes): two rotors at one speed have a fit, too
 EXTRA = 2.0  # samples for each unknown, at least
 
 

@@ -105,24 +105,24 @@ def _steps(found: Heard) -> dict[int, Finding]:
     at = {k: step for k in range(len(found.figures)) if (step := _step(found, k)) is not None}
     made: dict[int, Finding] = {}
     for k, (onset, certain) in at.items():
-        rises = {r: _rise(found, r, onset) for r in range(len(found.figures))}
+        rises = {r: rise(found, r, onset) for r in range(len(found.figures))}
         own = rises.pop(k)
-        rest = [rise[0] for rise in rises.values() if rise is not None]
+        rest = [one[0] for one in rises.values() if one is not None]
         figure = found.figures[k]
         if own is None or figure is None:
             continue
-        rise, after = own
+        grown, _, after = own
         common = max(float(median(np.array(rest))), 0.0) if rest else 0.0
-        most = max((_gained(r) for r in rises.values() if r is not None), default=0.0)
-        if rise - common < np.log(STANDS) or _gained(own) < SIDEBANDS * most:
+        most = max(map(gained, rises.values()), default=0.0)
+        if grown - common < np.log(STANDS) or gained(own) < SIDEBANDS * most:
             continue
-        made[k] = Finding(figure.together, after, float(np.exp(rise)), "before", onset, certain)
+        made[k] = Finding(figure.together, after, float(np.exp(grown)), "before", onset, certain)
     return made
 
 
-def _gained(rise: tuple[float, Figure]) -> float:
-    """Amplitude that a rotor got, of (logarithm of its rise, figure after it)."""
-    return rise[1].value * float(np.sqrt(max(1.0 - np.exp(-2.0 * rise[0]), 0.0)))
+def gained(change: tuple[float, Figure, Figure] | None) -> float:
+    """Amplitude that a rotor got by a `rise`."""
+    return 0.0 if change is None else change[2].value * float(np.sqrt(max(1.0 - np.exp(-2.0 * change[0]), 0.0)))
 
 
 def _step(found: Heard, k: int) -> tuple[float, float] | None:
@@ -164,8 +164,8 @@ def _step(found: Heard, k: int) -> tuple[float, float] | None:
     return float(time[first]), certain
 
 
-def _rise(found: Heard, k: int, onset: float) -> tuple[float, Figure] | None:
-    """(logarithm of the figure after `onset` over the one before, the figure after it) of a rotor; None where too little was heard."""
+def rise(found: Heard, k: int, onset: float) -> tuple[float, Figure, Figure] | None:
+    """(logarithm of the figure after `onset` over the one before, both figures) of a rotor (from 0); None where too little was heard."""
     figure, w = found.figures[k], found.windows
     if figure is None:
         return None
@@ -178,8 +178,11 @@ def _rise(found: Heard, k: int, onset: float) -> tuple[float, Figure] | None:
         back = 0.5 / len(figure.together) / found.channel.left(w.speed[part, k] / (2.0 * np.pi)) ** 2
         squares.append([MICRO * np.sqrt(max(v, 0.0)) for v in mean(w.power[part, 0, k] * back, w.noise[part, 0, k] * back)])
     least = max(squares[0][0], 0.5 * figure.noise, 1e-9)
-    later = figure._replace(value=squares[1][0], low=squares[1][1], high=squares[1][2], windows=int(after.sum()))
-    return float(np.log(max(squares[1][0], 1e-9) / least)), later
+    first, later = (
+        figure._replace(value=value, low=low, high=high, windows=int(part.sum()))
+        for (value, low, high), part in zip(squares, (before, after))
+    )
+    return float(np.log(max(squares[1][0], 1e-9) / least)), first, later
 
 
 def described(one: Finding, unit: str, places: str) -> tuple[str, dict[str, Any]]:

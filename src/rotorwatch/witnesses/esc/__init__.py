@@ -5,6 +5,7 @@ ratios.py       the mathematics: loss of speed, loss of the propeller, current; 
 causes.py       the form of the result in the answer
 stopped.py      rotors that stopped, or lost their propeller
 changed.py      motors that became slow or draw more current without a loss
+following.py    rotors whose speed leaves what their command asks for, within samples
 consistency.py  all of that for the events of a flight; without ESC telemetry they stay unchanged
 """
 

@@ -19,7 +19,7 @@ from rotorwatch.engine.motion.tick_table import Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.esc import causes, ratios, stopped, telemetry
+from rotorwatch.witnesses.esc import causes, following, ratios, stopped, telemetry
 from rotorwatch.witnesses.esc import changed as watch
 from rotorwatch.witnesses.esc.telemetry import Binned
 
@@ -41,10 +41,12 @@ def check(
     events = tuple(events)
     if "esc" not in flight.signals:
         return events, ()
-    bins, notes = telemetry.read(flight, allocation.rotor_thrusts(flight, vehicle), air)
+    thrust = allocation.rotor_thrusts(flight, vehicle)
+    bins, notes = telemetry.read(flight, thrust, air)
     if bins is None:
         return events, tuple(notes)
-    calm = _calm(bins, table, air)
+    left, calm = following.departures(bins, thrust.time, air), _calm(bins, table, air)
+    events = tuple(following.sooner(e, left) for e in events)
     stopped_events, stopped_notes = stopped.find(bins, events, air, _upset(bins, table))
     events = (*events, *stopped_events)
     healthy = _healthy(bins, events)

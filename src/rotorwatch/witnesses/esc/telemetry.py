@@ -28,6 +28,7 @@ MOSTLY = 0.5  # share of the time in the air for which telemetry must be usable
 GRID_S, SHIFT_MOST_S, SHIFT_LEAST_S = 0.1, 5.0, 0.45
 SHIFT_FIT, SHIFT_BETTER = 0.6, 0.2  # least correlation of a shift, and least gain over none
 ORDER_FIT, ORDER_BETTER, ORDINARY = 0.6, 0.3, 0.25
+ORDER_MOVES = 0.005  # rms of what a rotor's thrust changes by from bin to bin beyond the others', share of itself
 
 
 class Binned(NamedTuple):
@@ -223,6 +224,8 @@ def _mixed_up(bins: Binned) -> bool:
     # Its end is a jump that nothing else in the flight comes near to.
     changes = [np.clip(c, *(s * 5.0 * median(np.abs(c)) for s in (-1.0, 1.0))) for c in changes]
     w, f = (c - c.mean(axis=1, keepdims=True) for c in changes)
+    if np.sqrt(np.square(f).mean()) < ORDER_MOVES:
+        return False  # the rotors change alike: what differs is their delays
     fits = np.array([[_correlation(a, b) for b in f.T] for a in w.T])
     in_order = float(np.mean(np.diag(fits)))
     best = best_total(fits) / len(fits)

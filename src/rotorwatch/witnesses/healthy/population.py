@@ -18,6 +18,9 @@ rotor i lacks e = theta f_i. Of a quadrotor a is 1.
 A weak rotor asks for as much yaw as its column says, a shifted centre for none. The yaw trim of healthy vehicles reaches that of a loss of
 a third, so yaw discriminates large losses alone: smaller ones are `ambiguous`, or undetected within the bound of a healthy answer.
 
+What others testify on a rotor, such as its balance, is independent of w: it multiplies that rotor's probability, and by as much, at most
+(Markov's inequality), the rarity that a fault must have.
+
 A flight that is not rare still leans to a rotor where w is likelier with a loss above MATTERS of some rotor, each equally probable, than
 without, and a shifted centre is not CLEAR times likelier: then the bound is no sign of health. By the model that concerns 5 % of healthy
 quadrotors, and 27, 84 and 99 % of those that lost 0.20, 0.33 and 0.50. Of a hexa and an octa it would be 14 and 19 % of healthy ones, for
@@ -43,9 +46,11 @@ MOST = 0.9
 FEW = 4  # rotors, up to which a flight may lean to one
 
 
-def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf) -> dict | None:
+def judge(
+    flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf, said: np.ndarray | float = 0.0
+) -> dict | None:
     """Evidence of damage present at take-off, from the steady part of the flight before `until` [s]; None where that is too short or where
-    a rotor was at its limit.
+    a rotor was at its limit. said (n,): log-odds by which others testify to a loss of each rotor's thrust (`View.testimony`).
 
     -> verdict healthy, ambiguous or fault; reason; rotors (1-based, named); loss (n,), interval (n, 2), of a healthy flight with 0 and the
     largest undetected loss of each rotor; causes as in WholeFlight; leaning: of a healthy flight that leans to a rotor, the fields of an
@@ -53,10 +58,10 @@ def judge(flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], 
     hovering = features(flight, vehicle, [(a, min(b, until)) for a, b in air if a < until])
     if not hovering.usable or max(hovering.limited) > LIMITED:
         return None
-    return weigh(hovering, vehicle.effectiveness())
+    return weigh(hovering, vehicle.effectiveness(), said)
 
 
-def weigh(found: Features, B: np.ndarray) -> dict:
+def weigh(found: Features, B: np.ndarray, said: np.ndarray | float = 0.0) -> dict:
     """The same for a flight's features and effectiveness B (4, n)."""
     n = B.shape[1]
     w = np.array(found.wrench)
@@ -69,7 +74,8 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     where, distance, mass = student.centred_grid(SHIFT_SD, 3.0)
     centre = mass @ _density(w - np.pad(where, ((0, 0), (0, 1))), scale, CENTRE_RHO_SD * distance)
     weight = np.array([HEALTHY * _density(w, scale, 0.0), SHIFTED * centre])
-    rotor = ROTOR / n * likelihood.mean(axis=1)
+    supported = np.exp(np.broadcast_to(said, n))
+    rotor = ROTOR / n * supported * likelihood.mean(axis=1)
     total = weight.sum() + rotor.sum()
     probability = rotor / total
     means, intervals = zip(*(student.mean_and_interval(theta, likely) for likely in likelihood))
@@ -79,11 +85,11 @@ def weigh(found: Features, B: np.ndarray) -> dict:
     causes = [{"kind": "rotors", "rotors": [int(i) + 1], "probability": float(probability[i])} for i in named]
     causes.append({"kind": "centre_of_mass", "rotors": [], "probability": float(weight[1] / total)})
     rare, sure = p_value < FALSE_ALARM and probability.sum() > 0.5, probability[best] > CERTAIN
-    verdict = "fault" if rare and sure and p_value < FALSE_FAULT_OF_ANY else "ambiguous" if rare else "healthy"
+    verdict = "fault" if rare and sure and p_value < FALSE_FAULT_OF_ANY * supported[best] else "ambiguous" if rare else "healthy"
     if verdict == "healthy":
         bounded = {"verdict": verdict, "reason": "", "rotors": [], "causes": [], "p_value": p_value, "loss": [0.0] * n,
                          "interval": [[0.0, float(v)] for v in high]}  # fmt: skip
-        large = likelihood[:, theta > MATTERS].mean()
+        large = supported @ likelihood[:, theta > MATTERS].mean(axis=1) / n
         if n > FEW or large < weight[0] / HEALTHY or CLEAR * large < centre:
             return bounded
         others = "".join(f", rotor {i + 1}" for i in named if i != best)

@@ -314,10 +314,11 @@ def _covariance_of_mean(rest: np.ndarray) -> np.ndarray:
 # Against the baseline
 
 
-def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> WholeFlight:
+def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle, said: np.ndarray | float = 0.0) -> WholeFlight:
     """Compare this flight's balance with healthy ones, and explain a difference.
 
-    baseline: one or more healthy flights of the same build. verdict: healthy; fault (these rotors); ambiguous (a difference: rotors or the
+    baseline: one or more healthy flights of the same build. said (n,): log-odds by which others testify to a loss of each rotor's thrust,
+    independent of w (`View.testimony`). verdict: healthy; fault (these rotors); ambiguous (a difference: rotors or the
     centre of mass, or not certain which rotors); inconclusive (too little hover). Raises ConfigError without a baseline or when numbers of
     rotors differ."""
     n = len(vehicle.rotors)
@@ -334,7 +335,11 @@ def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle) -> W
     p_mean, p_change, p_value = _p_values(shift, covariance, dof, flight, healthy)
     different = p_value < FALSE_ALARM
     share = np.mean([np.array(one.share) / np.mean(one.share) for one in healthy], axis=0)
-    hypotheses = _weigh(shift, covariance, dof, share, vehicle)
+    supported = np.exp(np.broadcast_to(said, n))
+    hypotheses = [
+        h._replace(weight=h.weight * float(np.prod([supported[r - 1] for r in h.rotors])))
+        for h in _weigh(shift, covariance, dof, share, vehicle)
+    ]
     if different:
         loss, interval = _losses([h for h in hypotheses if h.kind == "rotors"], n)
     else:
