@@ -32,18 +32,18 @@ from rotorwatch.logs import dataflash, dataflash_rotors
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 SOURCES = Path(__file__).parent / "log_reader_c"
-PAGE = "rotorwatch.html"
+PAGE, SCRIPT = "rotorwatch.html", "rotorwatch.mjs"
 LEFT_TO_DIAGNOSE = (
     "Only rotorwatch diagnose looks for losses of control, damage present at take-off and outputs in the wrong order, compares a loss with "
     "wind, load and the ground, and judges ESC telemetry, vibration and reports of the autopilot."
 )
-WASM = ("--target=wasm32-wasi", "-msimd128", "-mexec-model=reactor", "-nostartfiles", "-Wl,--no-entry")
+WASM = ("--target=wasm32-wasi", "-msimd128", "-mexec-model=reactor", "-nostartfiles", "-Wl,--no-entry", "-Wl,--stack-first", "-Wl,-z,stack-size=1048576")
 EXPORTED = "malloc", "free", "rw_judge_log"
 
 
 def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
     """Write the library and `rotorwatch-c` into the folder `out`, created where missing; returns the files written. page: compile it to
-    WebAssembly as well, rotorwatch.wasm, and write a page around it, rotorwatch.html. Raises ConfigError where clang or its parts for
+    WebAssembly as well, rotorwatch.wasm, for Node (rotorwatch.mjs) and within a page, rotorwatch.html. Raises ConfigError where clang or its parts for
     WebAssembly are missing."""
     texts = sources()
     texts["CMakeLists.txt"] = projects.log_reader_cmake([name for name in texts if name.endswith(".c") and name != "rw_main.c"])
@@ -53,9 +53,12 @@ def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
     for path in written:
         path.write_text(texts[path.name], encoding="utf-8")
     if page:
-        code = compiled(folder)
+        code, script = compiled(folder), (SOURCES / SCRIPT).read_text(encoding="utf-8")
         template = (SOURCES / PAGE).read_text(encoding="utf-8")
-        for name, data in ("rotorwatch.wasm", code), (PAGE, template.replace("@CODE@", base64.b64encode(code).decode()).encode()):
+        filled = {"@CODE@": base64.b64encode(code).decode(), "@JUDGE@": script.partition("// begin\n")[2].partition("// end\n")[0]}
+        for mark, text in filled.items():
+            template = template.replace(mark, text)
+        for name, data in ("rotorwatch.wasm", code), (SCRIPT, script.encode()), (PAGE, template.encode()):
             (folder / name).write_bytes(data)
             written.append(folder / name)
     return tuple(written)

@@ -16,6 +16,7 @@
 #define MOST_WIDTH 16
 #define STEP_BACK_US 0.5e6 /* larger steps back are not due to the order of records */
 #define DAY_US 86400e6
+#define EDGE_RECORDS 5 /* up to so many beyond a gap at an end of the log are damaged */
 #define SMALL_STEP_S 0.005
 #define ENOUGH 20000 /* records, spread over the log, to determine the unit of a column */
 
@@ -31,7 +32,7 @@ typedef struct {
     format formats[256];
     size_t *at; /* places of the records */
     size_t count;
-    double start; /* us of the first */
+    double start, stop; /* us of the first and the last */
     int outputs[RW_ROTORS], rotors; /* servo output of each rotor, from 1 */
     char announced[2][24]; /* "QUAD", "X": the frame that the firmware names */
 } dataflash;
@@ -179,34 +180,49 @@ static double stamp(const dataflash *d, const uint8_t *record)
     return scale > 0.0 && strchr("QIqi", f->codes[0]) ? scale * value_of(record + 3, f->codes[0]) : (double)NAN;
 }
 
-/* First and last time, and whether the clock is steady. */
+/* Whether a gap next to a few stamps at an end of the log is rather damage: `wrong_gap` of logs/series.py. */
+static bool wrong_gap(double gap_s)
+{
+    static const double UNITS[] = {1e-6, 1e-3}, DIGITS[] = {1, 2, 4, 8, 10};
+    if (!(gap_s > 4.0))
+        return false;
+    for (size_t k = 0; k < 2; k++)
+        if (fabs(gap_s - UNITS[k] * exp2(rint(log2(gap_s / UNITS[k])))) < 0.2)
+            return true;
+    for (size_t k = 0; k < 5; k++)
+        if (fabs(gap_s - pow(10.0, floor(log10(gap_s) + 1e-3)) * DIGITS[k]) < 0.2)
+            return true;
+    return gap_s > 600.0;
+}
+
+/* First and last time, without a few records beyond a gap at either end, and whether the clock is steady between. */
 static bool clock_of(dataflash *d)
 {
-    double last = NAN, most = -INFINITY, least = INFINITY;
-    size_t since = 0, stamped = 0;
-    bool gap = false;
-    for (size_t k = 0; k < d->count; k++) {
-        const double us = stamp(d, d->log->data + d->at[k]);
-        if (isnan(us))
-            continue;
-        if (us < last - STEP_BACK_US || us > last + DAY_US || (gap && since < NEAR_START && us > last + 4e6))
-            return rw_refuse(d->log, "the clock of this log jumps; rotorwatch diagnose corrects that");
-        if (us > last + 600e6) { /* a pause between two flights, or a damaged stamp */
-            if (stamped < NEAR_START)
-                return rw_refuse(d->log, "the clock of this log jumps; rotorwatch diagnose corrects that");
-            gap = true;
-            since = 0;
-        }
-        last = us;
-        least = fmin(least, us);
-        most = fmax(most, us);
-        stamped++;
-        since++;
+    double *us = rw_reserve(d->log, d->count, sizeof *us);
+    size_t n = 0, first = 0, last;
+    for (size_t k = 0; us && k < d->count; k++) {
+        us[n] = stamp(d, d->log->data + d->at[k]);
+        n += !isnan(us[n]);
     }
-    if (!stamped)
+    if (!us)
+        return false;
+    if (!n)
         return rw_refuse(d->log, "this log has no times, as ArduCopter 3.1 and before wrote it; rotorwatch diagnose rebuilds them");
-    d->start = least;
-    d->log->end = (most - least) / 1e6;
+    last = n - 1;
+    for (size_t k = 0; k < EDGE_RECORDS && k + 1 < n; k++) {
+        if (wrong_gap((us[k + 1] - us[k]) * 1e-6))
+            first = k + 1;
+        if (wrong_gap((us[n - 1 - k] - us[n - 2 - k]) * 1e-6))
+            last = n - 2 - k;
+    }
+    d->start = d->stop = us[first];
+    for (size_t k = first; k < n && k <= last; k++) {
+        if (k > first && (us[k] < us[k - 1] - STEP_BACK_US || us[k] > us[k - 1] + DAY_US))
+            return rw_refuse(d->log, "the clock of this log jumps; rotorwatch diagnose corrects that");
+        d->start = fmin(d->start, us[k]);
+        d->stop = fmax(d->stop, us[k]);
+    }
+    d->log->end = (d->stop - d->start) / 1e6;
     return true;
 }
 
@@ -255,6 +271,7 @@ static bool rows(dataflash *d, const char *message, const char *const *columns, 
     const format *f = named(d, message);
     size_t offset[MOST_WIDTH], of_instance = 0;
     char code[MOST_WIDTH], instance_code = 0;
+    double us = d->start;
     bool any = false;
     out->n = 0;
     if (!f)
@@ -269,11 +286,12 @@ static bool rows(dataflash *d, const char *message, const char *const *columns, 
     out->n = 0;
     for (size_t i = 0; i < d->count; i++) {
         const uint8_t *record = d->log->data + d->at[i];
-        double us;
+        const double own = stamp(d, record);
+        us = isnan(own) ? us : own; /* those without a time have that of the one before */
         if (&d->formats[record[2]] != f || (chosen >= 0 && value_of(record + of_instance, instance_code) != chosen))
             continue;
-        if (isnan(us = stamp(d, record)))
-            return rw_refuse(d->log, "the records %s of this log have no times", message);
+        if (us < d->start || us > d->stop)
+            continue;
         out->time[out->n] = (us - d->start) / 1e6;
         for (size_t k = 0; k < width; k++)
             out->value[out->n * width + k] = code[k] ? value_of(record + offset[k], code[k]) : (double)NAN;
@@ -428,39 +446,38 @@ static int motor_of(double function)
 /* The servo output of each rotor: logs/dataflash_rotors.py. */
 static bool rotor_outputs(dataflash *d, int frame_class)
 {
-    static const int COUNTS[][2] = {{1, 4}, {2, 6}, {3, 8}, {4, 8}, {5, 6}, {10, 2}, {12, 12}, {14, 10}};
+    static const int COUNTS[][2] = {{1, 4}, {2, 6}, {3, 8}, {4, 8}, {5, 6}, {7, 3}, {10, 2}, {12, 12}, {14, 10}};
     rw_log *log = d->log;
     int mapped[16] = {0}, expected = 0, functions = 0, motors = 0;
-    double function[33] = {0};
     for (size_t k = 0; k < sizeof COUNTS / sizeof *COUNTS; k++)
         expected = COUNTS[k][0] == frame_class ? COUNTS[k][1] : expected;
-    if (frame_class == 7)
-        return rw_refuse(log, "this log is of a tricopter, which only rotorwatch diagnose judges");
     for (int output = 1; output <= 32; output++) {
         char name[24];
+        double function;
+        int motor;
         snprintf(name, sizeof name, "SERVO%d_FUNCTION", output);
-        function[output] = rw_parameter_of(log, name, NAN);
-        if (isnan(function[output])) {
-            function[output] = 0.0;
-            continue;
-        }
-        functions++;
-        const int rotor = motor_of(function[output]);
-        if (rotor && (!mapped[rotor] || rotor == output))
-            mapped[rotor] = output;
+        function = rw_parameter_of(log, name, NAN);
+        motor = motor_of(function);
+        functions += !isnan(function);
+        if (motor && (!mapped[motor] || motor == output))
+            mapped[motor] = output;
     }
     for (int k = 1; k < 16; k++)
-        motors += mapped[k] > 0 && (!expected || k <= expected);
-    if (motors && expected && motors < expected)
-        return rw_refuse(log, "this log does not say which outputs drive all %d motors", expected);
+        motors += mapped[k] > 0;
     if (functions && !motors)
         return rw_refuse(log, "no output of this log has a motor function");
-    d->rotors = expected ? expected : motors;
-    for (int k = 1; k <= d->rotors; k++)
-        d->outputs[k - 1] = motors ? mapped[k] : k;
-    for (int k = 0; k < d->rotors; k++)
-        if (!d->outputs[k])
-            return rw_refuse(log, "this log does not say which output drives motor %d", k + 1);
+    d->rotors = 0;
+    for (int k = 1; expected ? d->rotors < expected : k < 16; k++) {
+        const int output = motors ? mapped[k] : k;
+        if (frame_class == 7 && k == 3) /* a tricopter's rotors are motors 1, 2 and 4 */
+            continue;
+        if (!expected && !output)
+            continue;
+        if (!output)
+            return rw_refuse(log, "this log does not say which output drives motor %d", k);
+        d->outputs[d->rotors++] = output;
+    }
+    d->rotors = motors || expected ? d->rotors : 0;
     return true;
 }
 
