@@ -21,6 +21,7 @@ from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.answer import conclusion
 from rotorwatch.base.compiling import running
+from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine import driver
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.intake import airborne, planning, sense, sizes
@@ -28,7 +29,7 @@ from rotorwatch.engine.motion import allocation
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.export import projects
 from rotorwatch.flight import kinds, vehicle, vehicle_kind
-from rotorwatch.logs import dataflash, dataflash_rotors
+from rotorwatch.logs import dataflash, dataflash_rotors, lone_values, plausible
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 SOURCES = Path(__file__).parent / "log_reader_c"
@@ -37,7 +38,15 @@ LEFT_TO_DIAGNOSE = (
     "Only rotorwatch diagnose looks for losses of control, damage present at take-off and outputs in the wrong order, compares a loss with "
     "wind, load and the ground, and judges ESC telemetry, vibration and reports of the autopilot."
 )
-WASM = ("--target=wasm32-wasi", "-msimd128", "-mexec-model=reactor", "-nostartfiles", "-Wl,--no-entry", "-Wl,--stack-first", "-Wl,-z,stack-size=1048576")
+WASM = (
+    "--target=wasm32-wasi",
+    "-msimd128",
+    "-mexec-model=reactor",
+    "-nostartfiles",
+    "-Wl,--no-entry",
+    "-Wl,--stack-first",
+    "-Wl,-z,stack-size=1048576",
+)
 EXPORTED = "malloc", "free", "rw_judge_log"
 
 
@@ -68,6 +77,8 @@ def sources() -> dict[str, str]:
     """File name -> text of the library."""
     config, header, source = ENGINE.translated()
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
+    lone = Translation([lone_values])
+    texts |= {"rw_lone.h": lone.header("Lone values.", name="lone"), "rw_lone.c": lone.source("rw_lone.h")}
     return {**texts, "rw_config.h": config, "rw_engine.h": header, "rw_engine.c": source, "rw_tables.h": tables()}
 
 
@@ -75,7 +86,9 @@ def compiled(folder: Path) -> bytes:
     """The library in a folder as WebAssembly. Raises ConfigError where it cannot be built."""
     clang = shutil.which("clang")
     if clang is None or shutil.which("wasm-ld") is None:
-        raise ConfigError("A page needs clang and lld, and the C library for WebAssembly (Debian: clang lld wasi-libc libclang-rt-dev-wasm32).")
+        raise ConfigError(
+            "A page needs clang and lld, and the C library for WebAssembly (Debian: clang lld wasi-libc libclang-rt-dev-wasm32)."
+        )
     files = [str(path) for path in sorted(folder.glob("rw_*.c")) if path.name != "rw_main.c"]
     exports = [f"-Wl,--export={name}" for name in EXPORTED]
     with tempfile.TemporaryDirectory() as scratch:
@@ -103,7 +116,11 @@ def tables() -> str:
         "LEAST_COMMANDS": driver.LEAST, "FASTER": allocation.FASTER, "COARSE": allocation.COARSE, "ENOUGH_STEPS": allocation.ENOUGH_STEPS,
         "AEROBATIC_HZ": aerobatic.LEAST_HZ, "HOVERING": aerobatic.HOVERING, "CARRIES_LEAST": aerobatic.CARRIES[0],
         "CARRIES_MOST": aerobatic.CARRIES[1], "JUDGED_LEAST_S": conclusion.LEAST_S, "RAW_TORQUE": dataflash.RAW_TORQUE,
-        "RAW_THROTTLE": dataflash.RAW_THROTTLE, "PULSE_LEAST_US": dataflash.PWM_RANGE_US[0], "PULSE_MOST_US": dataflash.PWM_RANGE_US[1],
+        "RAW_THROTTLE": dataflash.RAW_THROTTLE, "FAR": lone_values.FAR, "JUMPS": plausible.JUMPS,
+        "ALONE": plausible.ALONE, "ALONE_IN_AXIS": plausible.ALONE_IN_AXIS,
+        "HABIT": plausible.HABIT, "FIT_EVERY": plausible.FIT_EVERY, "FITTED": plausible.FITTED, "PARTNER_S": plausible.PARTNER_S,
+        **{f"FLOOR_{name.upper()}": plausible.FLOORS[name] for name in ("control", "motors", "rates", "accel", "attitude", "velocity")},
+        "PULSE_LEAST_US": dataflash.PWM_RANGE_US[0], "PULSE_MOST_US": dataflash.PWM_RANGE_US[1],
     }  # fmt: skip
     rows = [
         "/* What both languages know. Made by `rotorwatch export-c --log-reader`; not to be edited. */",

@@ -53,57 +53,31 @@ static bool other_vehicle(rw_log *log, double mav_type)
     return true;
 }
 
-/* Eigenvectors (rows of `vector`) and eigenvalues of a symmetric 4 x 4 matrix, by Jacobi's rotations. */
-static void eigen(double a[4][4], double vector[4][4])
-{
-    memset(vector, 0, 16 * sizeof(double));
-    for (int k = 0; k < 4; k++)
-        vector[k][k] = 1.0;
-    for (int turn = 0; turn < 60; turn++)
-        for (int p = 0; p < 4; p++)
-            for (int q = p + 1; q < 4; q++) {
-                double angle, c, s;
-                if (a[p][q] == 0.0)
-                    continue;
-                angle = 0.5 * atan2(2.0 * a[p][q], a[q][q] - a[p][p]);
-                c = cos(angle), s = sin(angle);
-                for (int k = 0; k < 4; k++) {
-                    const double x = a[k][p], y = a[k][q];
-                    a[k][p] = c * x - s * y, a[k][q] = s * x + c * y;
-                }
-                for (int k = 0; k < 4; k++) {
-                    const double x = a[p][k], y = a[q][k], v = vector[p][k], w = vector[q][k];
-                    a[p][k] = c * x - s * y, a[q][k] = s * x + c * y;
-                    vector[p][k] = c * v - s * w, vector[q][k] = s * v + c * w;
-                }
-            }
-}
-
 /* PX4's normalised allocation of upright rotors: the pseudo-inverse of their geometry, its columns scaled (airframes/px4.py, mix). */
 static void mix(rw_vehicle *v, const double *x, const double *y, const double *spin)
 {
     const int n = v->rotors;
-    double A[4][RW_ROTORS], square[4][4], vector[4][4], inverse[RW_ROTORS][4], scale[4] = {0}, most = 0.0;
+    double A[4][RW_ROTORS], square[16], vector[16], inverse[RW_ROTORS][4], scale[4] = {0}, most = 0.0;
     for (int i = 0; i < n; i++)
         A[0][i] = -y[i], A[1][i] = x[i], A[2][i] = 0.05 * spin[i], A[3][i] = 1.0;
     for (int r = 0; r < 4; r++)
         for (int c = 0; c < 4; c++) {
-            square[r][c] = 0.0;
+            square[4 * r + c] = 0.0;
             for (int i = 0; i < n; i++)
-                square[r][c] += A[r][i] * A[c][i];
+                square[4 * r + c] += A[r][i] * A[c][i];
         }
-    eigen(square, vector);
+    rw_eigen(4, square, vector);
     for (int k = 0; k < 4; k++)
-        most = fmax(most, square[k][k]);
+        most = fmax(most, square[5 * k]);
     for (int i = 0; i < n; i++) /* A+ = A' (A A')+ */
         for (int c = 0; c < 4; c++) {
             inverse[i][c] = 0.0;
             for (int k = 0; k < 4; k++) {
                 double along = 0.0;
                 for (int r = 0; r < 4; r++)
-                    along += A[r][i] * vector[k][r];
-                if (square[k][k] > 1e-13 * most)
-                    inverse[i][c] += along * vector[k][c] / square[k][k];
+                    along += A[r][i] * vector[4 * k + r];
+                if (square[5 * k] > 1e-13 * most)
+                    inverse[i][c] += along * vector[4 * k + c] / square[5 * k];
             }
             if (fabs(inverse[i][c]) < 1e-9)
                 inverse[i][c] = 0.0;

@@ -376,6 +376,41 @@ static bool control_is_raw(rw_log *log, const rw_series *control)
     return peak(log, control, 0, 2, 0.99) > sqrt(RW_RAW_TORQUE);
 }
 
+/* Angular rates of the rate controller: degrees, up to 3.3 hundredths of them, by the gyro's rates where the vehicle turns fastest. */
+static void rates(dataflash *d, bool hundredths)
+{
+    static const char *const COLUMNS[] = {"R", "P", "Y"};
+    static const double TURN[][2] = {{-80, 80}, {-80, 80}, {-80, 80}};
+    rw_log *log = d->log;
+    rw_series *s = &log->series[RW_RATES];
+    const rw_series *gyro = &log->series[RW_GYRO];
+    double *ours, *theirs;
+    size_t n = 0, at = 0, fast = 0;
+    if (!rows(d, "RATE", COLUMNS, 3, NULL, -1, s))
+        return;
+    const size_t every = s->n / ENOUGH > 1 ? s->n / ENOUGH : 1;
+    ours = rw_reserve(log, 3 * (s->n / every + 1), sizeof *ours), theirs = rw_reserve(log, 3 * (s->n / every + 1), sizeof *theirs);
+    for (size_t i = 0; i < 3 * s->n; i++)
+        s->value[i] *= RW_PI / 180.0;
+    for (size_t i = 0; ours && theirs && gyro->n >= 10 && s->n >= 10 && i < s->n; i += every) {
+        while (at < gyro->n - 1 && gyro->time[at] < s->time[i])
+            at++;
+        if (fabs(gyro->time[at] - s->time[i]) < 0.1 && rw_whole(gyro, at) && rw_whole(s, i))
+            for (size_t k = 0; k < 3; k++, n++)
+                ours[n] = fabs(s->value[3 * i + k]), theirs[n] = fabs(gyro->value[3 * at + k]);
+    }
+    if (n >= 30) {
+        const double least = rw_quantile(log, theirs, n, 0.9);
+        for (size_t i = 0; i < n; i++)
+            if (theirs[i] >= least)
+                ours[fast] = ours[i], theirs[fast++] = theirs[i];
+        hundredths = rw_median(log, ours, fast) > 10.0 * rw_median(log, theirs, fast);
+    }
+    for (size_t i = 0; hundredths && i < 3 * s->n; i++)
+        s->value[i] /= 100.0;
+    within(s, TURN);
+}
+
 static void control(dataflash *d)
 {
     static const char *const COLUMNS[] = {"ROut", "POut", "YOut", "AOut"};
@@ -387,6 +422,7 @@ static void control(dataflash *d)
     for (size_t i = 0; i < s->n * 4; i++)
         s->value[i] /= i % 4 < 3 ? torque : throttle;
     within(s, LIMITS);
+    rates(d, torque > 1.0);
 }
 
 static void motion(dataflash *d)

@@ -420,6 +420,8 @@ static bool judge(words *w, rw_log *log, const char *name, spans *air)
         return false;
     if (!s[RW_GYRO].n)
         return rw_refuse(log, "this log has no gyro");
+    if (!rw_without_damage(log))
+        return false;
     for (int k = 0; k < RW_RATES; k++)
         if (s[k].n && k != RW_STATE)
             log->end = fmax(log->end, s[k].time[s[k].n - 1]);

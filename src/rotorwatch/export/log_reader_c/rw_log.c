@@ -41,20 +41,16 @@ void *rw_reserve(rw_log *log, size_t count, size_t size)
     return log->blocks[log->block_count++] = block;
 }
 
-void rw_log_close(rw_log *log)
+void rw_release(rw_log *log, size_t kept)
 {
-    while (log->block_count)
+    while (log->block_count > kept)
         free(log->blocks[--log->block_count]);
-    free(log->blocks);
 }
 
-/* Give back the newest block. */
-static void release(rw_log *log, void *block)
+void rw_log_close(rw_log *log)
 {
-    if (log->block_count && log->blocks[log->block_count - 1] == block) {
-        free(block);
-        log->block_count--;
-    }
+    rw_release(log, 0);
+    free(log->blocks);
 }
 
 double rw_parameter_of(const rw_log *log, const char *name, double otherwise)
@@ -135,12 +131,13 @@ static double ranked(double *x, size_t n, size_t k)
 
 double rw_ranked(rw_log *log, const double *x, size_t n, size_t k)
 {
+    const size_t kept = log->block_count;
     double *copy, found;
     if (k >= n || !(copy = rw_reserve(log, n, sizeof *copy)))
         return NAN;
     memcpy(copy, x, n * sizeof *copy);
     found = ranked(copy, n, k);
-    release(log, copy);
+    rw_release(log, kept);
     return found;
 }
 
@@ -160,13 +157,14 @@ double rw_median(rw_log *log, const double *x, size_t n)
 
 double rw_rate_hz(rw_log *log, const rw_series *s)
 {
+    const size_t kept = log->block_count;
     double *steps, step;
     if (s->n < 2 || !(steps = rw_reserve(log, s->n - 1, sizeof *steps)))
         return 0.0;
     for (size_t i = 0; i + 1 < s->n; i++)
         steps[i] = s->time[i + 1] - s->time[i];
     step = rw_median(log, steps, s->n - 1);
-    release(log, steps);
+    rw_release(log, kept);
     return step > 0.0 ? 1.0 / step : 0.0;
 }
 
@@ -179,4 +177,28 @@ bool rw_series_settle(rw_log *log, rw_series *s, double limit)
         if (!isfinite(s->time[i]) || (i && !(s->time[i] >= s->time[i - 1] && s->time[i] - s->time[i - 1] <= DAY_S)))
             return rw_refuse(log, "the times of this log are damaged; rotorwatch diagnose reads around damage");
     return true;
+}
+
+void rw_eigen(int n, double *a, double *vector)
+{
+    for (int k = 0; k < n * n; k++)
+        vector[k] = k % (n + 1) ? 0.0 : 1.0;
+    for (int turn = 0; turn < 12; turn++) /* Jacobi's rotations */
+        for (int p = 0; p < n; p++)
+            for (int q = p + 1; q < n; q++) {
+                double angle, c, s;
+                if (a[p * n + q] == 0.0)
+                    continue;
+                angle = 0.5 * atan2(2.0 * a[p * n + q], a[q * n + q] - a[p * n + p]);
+                c = cos(angle), s = sin(angle);
+                for (int k = 0; k < n; k++) {
+                    const double x = a[k * n + p], y = a[k * n + q];
+                    a[k * n + p] = c * x - s * y, a[k * n + q] = s * x + c * y;
+                }
+                for (int k = 0; k < n; k++) {
+                    const double x = a[p * n + k], y = a[q * n + k], v = vector[p * n + k], w = vector[q * n + k];
+                    a[p * n + k] = c * x - s * y, a[q * n + k] = s * x + c * y;
+                    vector[p * n + k] = c * v - s * w, vector[q * n + k] = s * v + c * w;
+                }
+            }
 }

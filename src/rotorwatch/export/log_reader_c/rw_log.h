@@ -61,6 +61,7 @@ typedef struct {
 /* rw_log.c. Every function that returns false has set `why`. */
 bool rw_refuse(rw_log *log, const char *sentence, ...);
 void *rw_reserve(rw_log *log, size_t count, size_t size); /* zeroed; NULL, refused, without any */
+void rw_release(rw_log *log, size_t kept); /* give back all but the first blocks */
 void rw_log_close(rw_log *log);
 bool rw_series_new(rw_log *log, rw_series *s, size_t n, size_t width);
 bool rw_series_settle(rw_log *log, rw_series *s, double limit); /* impossible values and times removed, as logs/series.py */
@@ -71,8 +72,10 @@ double rw_quantile(rw_log *log, const double *x, size_t n, double share);
 double rw_median(rw_log *log, const double *x, size_t n);
 double rw_rate_hz(rw_log *log, const rw_series *s);
 bool rw_whole(const rw_series *s, size_t row);
+void rw_eigen(int n, double *a, double *vector); /* symmetric a (n, n): eigenvalues on its diagonal, eigenvectors in rows of `vector` */
 
-/* The readers and the airframe. */
+/* The readers, their values that are damage, and the airframe. */
+bool rw_without_damage(rw_log *log);
 bool rw_ulog_read(rw_log *log);
 bool rw_dataflash_read(rw_log *log);
 bool rw_px4_airframe(rw_log *log);

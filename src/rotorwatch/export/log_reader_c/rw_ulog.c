@@ -338,6 +338,7 @@ static void motion(ulog *u)
     rw_series a, b, *s = u->log->series;
     if (!signal(u, "vehicle_angular_velocity", XYZ, 3, 100.0, &a))
         signal(u, "vehicle_attitude", SPEEDS, 3, 100.0, &a);
+    s[RW_RATES] = a;
     signal(u, "sensor_combined", GYRO, 3, 100.0, &b);
     fastest(u, &a, &b, &s[RW_GYRO]);
     signal(u, "vehicle_acceleration", XYZ, 3, 1000.0, &a);
