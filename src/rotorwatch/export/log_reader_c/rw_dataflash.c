@@ -432,6 +432,7 @@ static void motion(dataflash *d)
     static const double TURN[][2] = {{-80, 80}, {-80, 80}, {-80, 80}}, FORCE[][2] = {{-640, 640}, {-640, 640}, {-640, 640}};
     static const double SPEED[][2] = {{-150, 150}, {-150, 150}, {-150, 150}};
     rw_series imu, degrees, *s = d->log->series;
+    double before[4] = {1.0, 0.0, 0.0, 0.0};
     const char *message = named(d, "IMU") ? "IMU" : named(d, "IMU2") ? "IMU2" : "IMU3";
     const bool second = rw_parameter_of(d->log, "AHRS_EKF_TYPE", 0.0) == 2.0;
     if (instance_rows(d, message, IMU, 6, &imu) && rw_series_new(d->log, &s[RW_GYRO], imu.n, 3) && rw_series_new(d->log, &s[RW_ACCEL], imu.n, 3)) {
@@ -448,7 +449,7 @@ static void motion(dataflash *d)
     if (rows(d, message, ANGLES, 3, NULL, -1, &degrees) && rw_series_new(d->log, &s[RW_ATTITUDE], degrees.n, 4))
         for (size_t i = 0; i < degrees.n; i++) {
             static const double MOST[] = {200.0, 100.0, 400.0};
-            double c[3], n[3], *q = &s[RW_ATTITUDE].value[4 * i];
+            double c[3], n[3], along = 0.0, *q = &s[RW_ATTITUDE].value[4 * i];
             bool fine = true;
             for (size_t k = 0; k < 3; k++) {
                 const double half = degrees.value[3 * i + k] * (RW_PI / 180.0) / 2.0;
@@ -458,8 +459,12 @@ static void motion(dataflash *d)
             s[RW_ATTITUDE].time[i] = degrees.time[i];
             q[0] = c[0] * c[1] * c[2] + n[0] * n[1] * n[2], q[1] = n[0] * c[1] * c[2] - c[0] * n[1] * n[2];
             q[2] = c[0] * n[1] * c[2] + n[0] * c[1] * n[2], q[3] = c[0] * c[1] * n[2] - n[0] * n[1] * c[2];
-            for (size_t k = 0; k < 4 && !fine; k++)
-                q[k] = NAN;
+            for (size_t k = 0; k < 4; k++)
+                along += q[k] * before[k];
+            for (size_t k = 0; k < 4; k++) { /* q and -q are the same attitude: the sign that makes the series continuous */
+                q[k] = !fine ? (double)NAN : along < 0.0 ? -q[k] : q[k];
+                before[k] = fine ? q[k] : before[k];
+            }
         }
     message = second && named(d, "NKF1") ? "NKF1" : named(d, "XKF1") ? "XKF1" : named(d, "NKF1") ? "NKF1" : "EKF1";
     if (instance_rows(d, message, V, 3, &s[RW_VELOCITY]))
