@@ -30,13 +30,15 @@ from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.export import projects
 from rotorwatch.flight import kinds, vehicle, vehicle_kind
 from rotorwatch.logs import dataflash, dataflash_rotors, lone_values, plausible
+from rotorwatch.witnesses import near_ground, witness
 from rotorwatch.witnesses.aerobatic import judge as aerobatic
 
 SOURCES = Path(__file__).parent / "log_reader_c"
 PAGE, SCRIPT = "rotorwatch.html", "rotorwatch.mjs"
 LEFT_TO_DIAGNOSE = (
-    "Only rotorwatch diagnose looks for losses of control, damage present at take-off and outputs in the wrong order, compares a loss with "
-    "wind, load and the ground, and judges ESC telemetry, vibration and reports of the autopilot."
+    "These are the events that a flight controller would have announced. Only rotorwatch diagnose compares them with wind, a shifted load or "
+    "late rotors, tests whether the log contradicts itself, as by outputs in the wrong order, and judges losses of control, damage present "
+    "at take-off, ESC telemetry, vibration and reports of the autopilot."
 )
 WASM = (
     "--target=wasm32-wasi",
@@ -116,7 +118,8 @@ def tables() -> str:
         "LEAST_COMMANDS": driver.LEAST, "FASTER": allocation.FASTER, "COARSE": allocation.COARSE, "ENOUGH_STEPS": allocation.ENOUGH_STEPS,
         "AEROBATIC_HZ": aerobatic.LEAST_HZ, "HOVERING": aerobatic.HOVERING, "CARRIES_LEAST": aerobatic.CARRIES[0],
         "CARRIES_MOST": aerobatic.CARRIES[1], "JUDGED_LEAST_S": conclusion.LEAST_S, "RAW_TORQUE": dataflash.RAW_TORQUE,
-        "RAW_THROTTLE": dataflash.RAW_THROTTLE, "FAR": lone_values.FAR, "JUMPS": plausible.JUMPS,
+        "RAW_THROTTLE": dataflash.RAW_THROTTLE, "FALLS_S": witness.FALLS_S, "NEAR_M": near_ground.NEAR_M, "FRESH_S": near_ground.FRESH_S, "MOVES_M": near_ground.MOVES_M,
+        "FAR": lone_values.FAR, "JUMPS": plausible.JUMPS,
         "ALONE": plausible.ALONE, "ALONE_IN_AXIS": plausible.ALONE_IN_AXIS,
         "HABIT": plausible.HABIT, "FIT_EVERY": plausible.FIT_EVERY, "FITTED": plausible.FITTED, "PARTNER_S": plausible.PARTNER_S,
         **{f"FLOOR_{name.upper()}": plausible.FLOORS[name] for name in ("control", "motors", "rates", "accel", "attitude", "velocity")},

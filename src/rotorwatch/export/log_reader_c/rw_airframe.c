@@ -99,7 +99,7 @@ static void mix(rw_vehicle *v, const double *x, const double *y, const double *s
 
 static double rotor_parameter(const rw_log *log, int rotor, const char *what)
 {
-    char name[24];
+    char name[32];
     snprintf(name, sizeof name, "CA_ROTOR%d_%s", rotor, what);
     return rw_parameter_of(log, name, 0.0);
 }

@@ -427,10 +427,10 @@ static void control(dataflash *d)
 
 static void motion(dataflash *d)
 {
-    static const char *const IMU[] = {"GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"}, *const V[] = {"VN", "VE", "VD"};
+    static const char *const IMU[] = {"GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"}, *const V[] = {"VN", "VE", "VD"}, *const P[] = {"PN", "PE", "PD"};
     static const char *const ANGLES[] = {"Roll", "Pitch", "Yaw"}, *const LIFT[] = {"BatVolt"};
     static const double TURN[][2] = {{-80, 80}, {-80, 80}, {-80, 80}}, FORCE[][2] = {{-640, 640}, {-640, 640}, {-640, 640}};
-    static const double SPEED[][2] = {{-150, 150}, {-150, 150}, {-150, 150}};
+    static const double SPEED[][2] = {{-150, 150}, {-150, 150}, {-150, 150}}, PLACE[][2] = {{-1e5, 1e5}, {-1e5, 1e5}, {-1e5, 1e5}};
     rw_series imu, degrees, *s = d->log->series;
     double before[4] = {1.0, 0.0, 0.0, 0.0};
     const char *message = named(d, "IMU") ? "IMU" : named(d, "IMU2") ? "IMU2" : "IMU3";
@@ -469,6 +469,8 @@ static void motion(dataflash *d)
     message = second && named(d, "NKF1") ? "NKF1" : named(d, "XKF1") ? "XKF1" : named(d, "NKF1") ? "NKF1" : "EKF1";
     if (instance_rows(d, message, V, 3, &s[RW_VELOCITY]))
         within(&s[RW_VELOCITY], SPEED);
+    if (instance_rows(d, message, P, 3, &d->log->position))
+        within(&d->log->position, PLACE);
     if (rows(d, "MOTB", LIFT, 1, NULL, -1, &s[RW_VOLTAGE])) { /* as a share of full */
         rw_series *v = &s[RW_VOLTAGE];
         size_t n = 0;
@@ -493,7 +495,7 @@ static bool rotor_outputs(dataflash *d, int frame_class)
     for (size_t k = 0; k < sizeof COUNTS / sizeof *COUNTS; k++)
         expected = COUNTS[k][0] == frame_class ? COUNTS[k][1] : expected;
     for (int output = 1; output <= 32; output++) {
-        char name[24];
+        char name[32];
         double function;
         int motor;
         snprintf(name, sizeof name, "SERVO%d_FUNCTION", output);

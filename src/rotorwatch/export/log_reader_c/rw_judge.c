@@ -237,27 +237,116 @@ static bool plan(rw_log *log, const spans *air, rw_plan *p)
     return true;
 }
 
-/* What the ticks of a log show beside the engine's records. */
+/* What the ticks of a log show beside the engine's records. upset: since when the vehicle tumbles in a flight, RW_LASTS: never. The
+   arrays: of each tick, as rw_carried_on_ground takes them; commanded: up to the last one with commands. */
 typedef struct {
-    size_t judged, aloft, hovering;
-    rw_time upset; /* since when the vehicle tumbles in a flight, RW_LASTS: never */
+    size_t judged, aloft, hovering, count, commanded, room;
+    rw_time upset, *time;
+    rw_real *thrust, *load, *hover, *axial;
+    bool *valid, *restart, *ground;
+    int32_t *mode;
 } seen;
 
-static void look(seen *all, const rw_vehicle *v, const rw_made *made, int32_t count)
+static bool room_for_ticks(rw_log *log, const rw_plan *p, seen *all)
+{
+    const size_t n = (size_t)(log->end / p->dt) + 64;
+    all->room = n;
+    all->time = rw_reserve(log, n, sizeof *all->time), all->thrust = rw_reserve(log, n * (size_t)log->vehicle.rotors, sizeof *all->thrust);
+    all->load = rw_reserve(log, n, sizeof *all->load), all->hover = rw_reserve(log, n, sizeof *all->hover);
+    all->axial = rw_reserve(log, n, sizeof *all->axial), all->valid = rw_reserve(log, n, sizeof *all->valid);
+    all->restart = rw_reserve(log, n, sizeof *all->restart), all->ground = rw_reserve(log, n, sizeof *all->ground);
+    all->mode = rw_reserve(log, n, sizeof *all->mode);
+    return !log->why[0];
+}
+
+static void look(seen *all, const rw_vehicle *v, const spans *air, const rw_made *made, int32_t count)
 {
     for (int32_t i = 0; i < count; i++) {
-        double carried = 0.0;
         const rw_made *one = &made[i];
-        if (one->mode == RW_GROUND)
-            continue;
+        const size_t n = all->count;
+        double carried = 0.0;
+        bool after = false; /* the end of its flight */
         for (int k = 0; k < v->rotors; k++)
             carried += one->thrust[k] / v->rotors;
+        for (size_t k = 0; k < air->count; k++)
+            after = after || (one->when > air->spans[k].end && one->time >= air->spans[k].start
+                              && (k + 1 == air->count || one->time < air->spans[k + 1].start));
+        if (n < all->room) {
+            all->time[n] = one->time, all->load[n] = one->load, all->hover[n] = one->hover, all->axial[n] = one->axial;
+            all->valid[n] = one->valid[3] && !after, all->restart[n] = one->restart, all->mode[n] = after ? RW_GROUND : one->mode;
+            memcpy(&all->thrust[n * (size_t)v->rotors], one->thrust, (size_t)v->rotors * sizeof *all->thrust);
+            all->count++;
+            all->commanded = one->some ? all->count : all->commanded;
+        }
+        if (one->mode == RW_GROUND || after)
+            continue;
         all->aloft++;
         all->hovering += carried > RW_CARRIES_LEAST && carried < RW_CARRIES_MOST && !one->upset;
         all->judged += one->mode == RW_JUDGE && (one->valid[0] || one->valid[1] || one->valid[2] || one->valid[3]);
         if (one->upset)
             all->upset = fmin(all->upset, one->time);
     }
+}
+
+/* The ticks in which the ground carries a part of the vehicle; before a fall it does not. */
+static bool find_ground(rw_log *log, const spans *air, const rw_engine *g, const rw_plan *p, seen *all)
+{
+    const size_t n = all->commanded;
+    rw_real *carried = rw_reserve(log, 2 * n, sizeof *carried), *some = rw_reserve(log, n, sizeof *some);
+    int32_t *rows = rw_reserve(log, n, sizeof *rows);
+    rw_time *starts = rw_reserve(log, air->count, sizeof *starts), *ends = rw_reserve(log, air->count, sizeof *ends);
+    if (!carried || !some || !rows || !starts || !ends)
+        return false;
+    for (size_t k = 0; k < air->count; k++)
+        starts[k] = air->spans[k].start, ends[k] = air->spans[k].end;
+    rw_carried_on_ground((int32_t)n, log->vehicle.rotors, p->dt, all->time, all->thrust, all->load, all->valid, all->mode, all->restart, all->hover,
+                         all->axial, g->estimator.branches.all[0].s[RW_AIR], (int32_t)air->count, starts, ends, carried, some, rows, all->ground);
+    for (size_t i = 0; i < n; i++)
+        all->ground[i] = all->ground[i] && all->time[i] <= all->upset - RW_FALLS_S;
+    return true;
+}
+
+static bool on_ground(const seen *all, rw_time time)
+{
+    size_t i = 0;
+    while (i + 1 < all->commanded && all->time[i] < time)
+        i++;
+    return all->commanded && all->ground[i];
+}
+
+/* Height above the place of take-off at a time; NaN where it is not known (witnesses/near_ground.py). */
+static size_t position_at(const rw_series *s, rw_time time)
+{
+    size_t found = s->n;
+    for (size_t i = 0; i < s->n && s->time[i] <= time; i++)
+        if (rw_whole(s, i))
+            found = i;
+    return found < s->n && time - s->time[found] <= RW_FRESH_S ? found : s->n;
+}
+
+/* Whether a loss began and was announced so near the height of take-off that the ground explains it as well. */
+static bool near_ground(const rw_log *log, const spans *air, const rw_event *loss)
+{
+    const rw_series *s = &log->position;
+    size_t at[3];
+    double low = INFINITY, high = -INFINITY;
+    for (size_t k = 0; k < air->count; k++) {
+        const rw_time start = air->spans[k].start;
+        if (!(start <= loss->onset && loss->onset <= air->spans[k].end + RW_FRESH_S))
+            continue;
+        if (start - 1.0 < log->series[RW_OUTPUTS].time[0]) /* a log that begins in the air does not show where the ground is */
+            return false;
+        at[0] = position_at(s, start - 1.0), at[1] = position_at(s, loss->onset), at[2] = position_at(s, loss->detected);
+        if (at[0] == s->n || at[1] == s->n || at[2] == s->n)
+            return false;
+        for (size_t i = at[0]; i <= at[2]; i++)
+            if (rw_whole(s, i))
+                low = fmin(low, s->value[3 * i + 2]), high = fmax(high, s->value[3 * i + 2]);
+        if (high - low < RW_MOVES_M)
+            return false;
+        return s->value[3 * at[0] + 2] - fmin(s->value[3 * at[1] + 2], s->value[3 * at[2] + 2]) < RW_NEAR_M;
+    }
+    return false;
 }
 
 /* The whole log through the engine: engine/driver.py, fly. */
@@ -286,39 +375,45 @@ static bool fly(rw_log *log, const spans *air, const rw_plan *p, rw_plant *plant
         reached = time;
         do {
             rw_feed_feed(g, &log->vehicle, p, plant, 0, 1, &kind, &time, &at, x, made, out, ROOM, &fed);
-            look(all, &log->vehicle, made, fed.ticks);
+            look(all, &log->vehicle, air, made, fed.ticks);
         } while (!fed.samples);
     }
     do {
         rw_feed_finish(g, &log->vehicle, p, plant, end, made, out, ROOM, &fed);
-        look(all, &log->vehicle, made, fed.ticks);
+        look(all, &log->vehicle, air, made, fed.ticks);
         end = RW_LASTS;
     } while (fed.ticks);
     return true;
 }
 
-/* The engine's events; returns how many. Outputs that left the mixer count in flight, and end with it. */
-static int32_t events(rw_log *log, const spans *air, const rw_engine *g, rw_event *out)
+/* The engine's events; returns how many. Outputs that left the mixer count in flight, and end with it. What began while the ground carried
+   a part of the vehicle, or near its height, the ground explains as well. */
+static int32_t events(rw_log *log, const spans *air, const rw_engine *g, const seen *all, rw_event *out)
 {
     rw_event *losses = rw_reserve(log, RW_RECORDS, sizeof *losses);
     rw_override *overrides = rw_reserve(log, RW_OVERRIDES, sizeof *overrides);
-    int32_t lost, many = 0, count;
+    int32_t lost = 0, many = 0, count;
     if (!losses || !overrides)
         return 0;
-    lost = rw_calls_losses(&g->losses, &log->vehicle, false, losses);
+    count = rw_calls_losses(&g->losses, &log->vehicle, false, losses);
+    for (int32_t i = 0; i < count; i++)
+        if (!on_ground(all, losses[i].onset) && !near_ground(log, air, &losses[i]))
+            losses[lost++] = losses[i];
     lost = rw_many_with_growth(&g->trim.growth, losses, lost, RW_RECORDS);
     count = rw_calls_overrides(&g->front.deviations, &log->vehicle, overrides);
     for (int32_t i = 0; i < count; i++)
         for (size_t k = 0; k < air->count; k++)
             if (air->spans[k].start <= overrides[i].onset && overrides[i].onset < air->spans[k].end
                 && overrides[i].detected <= air->spans[k].end + RW_PLAN_CONFIRM_S) {
-                overrides[many] = overrides[i];
-                overrides[many].end = fmin(overrides[many].end, air->spans[k].end);
-                many++;
+                if (!on_ground(all, overrides[i].onset)) {
+                    overrides[many] = overrides[i];
+                    overrides[many].end = fmin(overrides[many].end, air->spans[k].end);
+                    many++;
+                }
                 break;
             }
     count = rw_calls_events(&g->report, &log->vehicle, losses, lost, overrides, many, out);
-    return rw_mount_put(&g->trim.mount, out, count, RW_EVENTS);
+    return on_ground(all, g->trim.mount.onset) ? count : rw_mount_put(&g->trim.mount, out, count, RW_EVENTS);
 }
 
 static void tell_event(words *w, const rw_event *e)
@@ -363,7 +458,8 @@ static void tell(words *w, rw_log *log, const char *name, const spans *air, cons
     const rw_vehicle *v = &log->vehicle;
     const double judged_s = (double)all->judged * p->dt;
     const int32_t main_event = rw_events_main_event(found, count);
-    const int32_t verdict = rw_events_verdict(found, count, judged_s >= RW_JUDGED_LEAST_S);
+    /* What happens before a fall may not be seen: without an event it is not called harmless. */
+    const int32_t verdict = rw_events_verdict(found, count, judged_s >= RW_JUDGED_LEAST_S && all->upset >= RW_LASTS);
     static const char *const VERDICTS[] = {"not judged", "nothing found", "fault", "ambiguous"};
     say(w, "{\"schema\": 1, \"flight\": {\"name\": ");
     quote(w, name);
@@ -405,7 +501,7 @@ static void tell(words *w, rw_log *log, const char *name, const spans *air, cons
 
 static bool judge(words *w, rw_log *log, const char *name, spans *air)
 {
-    seen all = {0, 0, 0, RW_LASTS};
+    seen all = {0};
     rw_plan p;
     rw_plant *plant = rw_reserve(log, 1, sizeof *plant);
     rw_engine *g = rw_reserve(log, 1, sizeof *g);
@@ -430,12 +526,13 @@ static bool judge(words *w, rw_log *log, const char *name, spans *air)
     if (!flights(log, air) || !plan(log, air, &p))
         return false;
     log->vehicle.coaxial = rw_prior_before_take_off(plant, &log->vehicle, p.dt);
-    if (air->count && !fly(log, air, &p, plant, g, &all))
+    all.upset = RW_LASTS;
+    if (!room_for_ticks(log, &p, &all) || (air->count && !fly(log, air, &p, plant, g, &all)) || !find_ground(log, air, g, &p, &all))
         return false;
     if (all.aloft && rw_rate_hz(log, &s[RW_OUTPUTS]) >= RW_AEROBATIC_HZ && rw_rate_hz(log, &s[RW_GYRO]) >= RW_AEROBATIC_HZ
         && (double)all.hovering < RW_HOVERING * (double)all.aloft)
         return rw_refuse(log, "this vehicle does not hover, which only rotorwatch diagnose judges");
-    tell(w, log, name, air, &p, &all, found, events(log, air, g, found));
+    tell(w, log, name, air, &p, &all, found, events(log, air, g, &all, found));
     return !log->why[0];
 }
 

@@ -40,11 +40,11 @@ typedef struct {
     double value;
 } rw_parameter;
 
-/* A log as it is read. series: by kind; motors: RW_OUTPUTS. why: the sentence that refuses it, empty while there is none. */
+/* A log as it is read. series: by kind; motors: RW_OUTPUTS; position: north, east, down. why: the sentence that refuses it, empty while there is none. */
 typedef struct {
     const uint8_t *data;
     size_t size;
-    rw_series series[RW_KINDS];
+    rw_series series[RW_KINDS], position;
     rw_parameter *parameters;
     size_t parameter_count;
     const char *format, *autopilot, *motors; /* motors: the source of the outputs */

@@ -328,13 +328,27 @@ static void fastest(ulog *u, const rw_series *first, const rw_series *second, rw
     *out = second->n && (!first->n || rw_rate_hz(u->log, second) > 1.1 * rw_rate_hz(u->log, first)) ? *second : *first;
 }
 
+/* Columns of vehicle_local_position, where its flags say that they are known. */
+static void where_known(ulog *u, const char *const *fields, const char *const *known, double limit, rw_series *out)
+{
+    rw_series flags;
+    if (!table(u, "vehicle_local_position", 0, fields, 3, false, out))
+        return;
+    if (table(u, "vehicle_local_position", 0, known, 3, false, &flags))
+        for (size_t i = 0; i < 3 * out->n; i++)
+            if (flags.value[i] == 0.0)
+                out->value[i] = NAN;
+    rw_series_settle(u->log, out, limit);
+}
+
 static void motion(ulog *u)
 {
     static const char *const SPEEDS[] = {"rollspeed", "pitchspeed", "yawspeed"};
     static const char *const GYRO[] = {"gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"};
     static const char *const ACCEL[] = {"accelerometer_m_s2[0]", "accelerometer_m_s2[1]", "accelerometer_m_s2[2]"};
     static const char *const Q[] = {"q[0]", "q[1]", "q[2]", "q[3]"};
-    static const char *const V[] = {"vx", "vy", "vz"}, *const KNOWN[] = {"v_xy_valid", "v_xy_valid", "v_z_valid"};
+    static const char *const V[] = {"vx", "vy", "vz"}, *const V_KNOWN[] = {"v_xy_valid", "v_xy_valid", "v_z_valid"};
+    static const char *const P[] = {"x", "y", "z"}, *const P_KNOWN[] = {"xy_valid", "xy_valid", "z_valid"};
     rw_series a, b, *s = u->log->series;
     if (!signal(u, "vehicle_angular_velocity", XYZ, 3, 100.0, &a))
         signal(u, "vehicle_attitude", SPEEDS, 3, 100.0, &a);
@@ -353,14 +367,8 @@ static void motion(ulog *u)
         if (rw_series_settle(u->log, &a, 1.1))
             s[RW_ATTITUDE] = a;
     }
-    if (table(u, "vehicle_local_position", 0, V, 3, false, &a)) {
-        if (table(u, "vehicle_local_position", 0, KNOWN, 3, false, &b))
-            for (size_t i = 0; i < 3 * a.n; i++)
-                if (b.value[i] == 0.0)
-                    a.value[i] = NAN;
-        if (rw_series_settle(u->log, &a, 300.0))
-            s[RW_VELOCITY] = a;
-    }
+    where_known(u, V, V_KNOWN, 300.0, &s[RW_VELOCITY]);
+    where_known(u, P, P_KNOWN, 1e6, &u->log->position);
 }
 
 /* The rate controller's output: torque and thrust setpoints (1.13 and later), else actuator_controls_0. */
