@@ -29,8 +29,8 @@ from rotorwatch.errors import ConfigError
 def export_c(
     estimator, allocator, diagnoser, log_reader, page, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet
 ) -> None:
-    """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, for a flight controller or for logs, as C99 that
-    needs nothing but libm (docs/export.md)."""
+    """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, for a flight controller or for logs, as C99
+    that needs nothing but libm (docs/export.md)."""
     from rotorwatch.base import discovery, files
     from rotorwatch.export.export_default import FRAME, export_default
     from rotorwatch.flight import vehicle_file

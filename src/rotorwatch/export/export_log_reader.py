@@ -36,9 +36,9 @@ from rotorwatch.witnesses.aerobatic import judge as aerobatic
 SOURCES = Path(__file__).parent / "log_reader_c"
 PAGE, SCRIPT = "rotorwatch.html", "rotorwatch.mjs"
 LEFT_TO_DIAGNOSE = (
-    "These are the events that a flight controller would have announced. Only rotorwatch diagnose compares them with wind, a shifted load or "
-    "late rotors, tests whether the log contradicts itself, as by outputs in the wrong order, and judges losses of control, damage present "
-    "at take-off, ESC telemetry, vibration and reports of the autopilot."
+    "These are the events that a flight controller would have announced. Only rotorwatch diagnose compares them with wind, a shifted load "
+    "or late rotors, tests whether the log contradicts itself, as by outputs in the wrong order, and judges losses of control, damage "
+    "present at take-off, ESC telemetry, vibration and reports of the autopilot."
 )
 WASM = (
     "--target=wasm32-wasi",
@@ -54,8 +54,8 @@ EXPORTED = "malloc", "free", "rw_judge_log"
 
 def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
     """Write the library and `rotorwatch-c` into the folder `out`, created where missing; returns the files written. page: compile it to
-    WebAssembly as well, rotorwatch.wasm, for Node (rotorwatch.mjs) and within a page, rotorwatch.html. Raises ConfigError where clang or its parts for
-    WebAssembly are missing."""
+    WebAssembly as well, rotorwatch.wasm, for Node (rotorwatch.mjs) and within a page, rotorwatch.html. Raises ConfigError where clang or
+    its parts for WebAssembly are missing."""
     texts = sources()
     texts["CMakeLists.txt"] = projects.log_reader_cmake([name for name in texts if name.endswith(".c") and name != "rw_main.c"])
     folder = Path(out)
@@ -118,7 +118,8 @@ def tables() -> str:
         "LEAST_COMMANDS": driver.LEAST, "FASTER": allocation.FASTER, "COARSE": allocation.COARSE, "ENOUGH_STEPS": allocation.ENOUGH_STEPS,
         "AEROBATIC_HZ": aerobatic.LEAST_HZ, "HOVERING": aerobatic.HOVERING, "CARRIES_LEAST": aerobatic.CARRIES[0],
         "CARRIES_MOST": aerobatic.CARRIES[1], "JUDGED_LEAST_S": conclusion.LEAST_S, "RAW_TORQUE": dataflash.RAW_TORQUE,
-        "RAW_THROTTLE": dataflash.RAW_THROTTLE, "FALLS_S": witness.FALLS_S, "NEAR_M": near_ground.NEAR_M, "FRESH_S": near_ground.FRESH_S, "MOVES_M": near_ground.MOVES_M,
+        "RAW_THROTTLE": dataflash.RAW_THROTTLE,
+        "FALLS_S": witness.FALLS_S, "NEAR_M": near_ground.NEAR_M, "FRESH_S": near_ground.FRESH_S, "MOVES_M": near_ground.MOVES_M,
         "FAR": lone_values.FAR, "JUMPS": plausible.JUMPS,
         "ALONE": plausible.ALONE, "ALONE_IN_AXIS": plausible.ALONE_IN_AXIS,
         "HABIT": plausible.HABIT, "FIT_EVERY": plausible.FIT_EVERY, "FITTED": plausible.FITTED, "PARTNER_S": plausible.PARTNER_S,
@@ -135,8 +136,8 @@ def tables() -> str:
         "typedef struct {\n    const char *name;\n    int rotors;\n    bool mixer_known;\n    rw_real effectiveness[4][RW_ROTORS];\n"
         "    rw_real mixer[RW_ROTORS][4];\n} rw_frame;\n",
         _table("rw_frame RW_FRAMES", [_frame(name, one) for name, one in frames.items()]),
-        "/* PX4's SYS_AUTOSTART, from first to last; ArduPilot's FRAME_CLASS and FRAME_TYPE, and the class by the name in its texts; MAV_TYPE\n"
-        "   of vehicles that are no multirotors. */",
+        "/* PX4's SYS_AUTOSTART, from first to last; ArduPilot's FRAME_CLASS and FRAME_TYPE, and the class by the name in its texts;\n"
+        "   MAV_TYPE of vehicles that are no multirotors. */",
         _table("struct { int first, last; const char *frame; } RW_STARTS", [f'{{{a}, {b}, "px4-{f}"}}' for a, b, f in starts]),
         _table(
             "struct { int number, kind; const char *frame; } RW_CLASSES",

@@ -21,7 +21,7 @@ typedef struct {
 typedef struct {
     const format *layout;
     int instance;
-    size_t count; /* of its data messages */
+    size_t count, *at; /* of its data messages: how many, and where each begins */
     uint64_t first;
 } subscription;
 
@@ -33,7 +33,7 @@ typedef struct {
     size_t subscription_count;
     int32_t *place; /* message id -> subscription, -1: none */
     uint64_t start; /* us that is second 0 */
-    size_t begins, end;
+    size_t begins;
 } ulog;
 
 typedef struct {
@@ -238,7 +238,7 @@ static bool walk(ulog *u)
             if (!layout || u->place[number(body + 1, 2)] >= 0)
                 return rw_refuse(log, DAMAGED, (unsigned long)from);
             u->place[number(body + 1, 2)] = (int32_t)u->subscription_count;
-            u->subscriptions[u->subscription_count++] = (subscription){layout, body[0], 0, 0};
+            u->subscriptions[u->subscription_count++] = (subscription){layout, body[0], 0, NULL, 0};
         } else if (kind == 'D') {
             const int32_t k = size < 2 ? -1 : u->place[number(body, 2)];
             if (k < 0)
@@ -248,8 +248,18 @@ static bool walk(ulog *u)
         } else if (!begun && memchr("DOSR", kind, 4))
             return rw_refuse(log, DAMAGED, (unsigned long)from);
     }
-    u->end = from;
     log->warned_cut = from < log->size;
+    for (size_t k = 0; k < u->subscription_count; k++) {
+        subscription *s = &u->subscriptions[k];
+        if (!(s->at = rw_reserve(log, s->count, sizeof *s->at)))
+            return false;
+        s->count = 0;
+    }
+    for (at = u->begins; begun && (kind = message(log, &at, &body, &size));)
+        if (kind == 'D') {
+            subscription *s = &u->subscriptions[u->place[number(body, 2)]];
+            s->at[s->count++] = (size_t)(body - log->data) - 3;
+        }
     return true;
 }
 
@@ -277,7 +287,6 @@ static bool table(ulog *u, const char *name, int instance, const char *const *fi
     field places[MOST_WIDTH], stamp;
     size_t at, size, least = 0;
     const uint8_t *body;
-    uint8_t kind;
     out->n = 0;
     if (!s || !find(u, s->layout, "timestamp", &stamp) || strcmp(stamp.type, "uint64_t"))
         return false;
@@ -292,10 +301,10 @@ static bool table(ulog *u, const char *name, int instance, const char *const *fi
     if (!rw_series_new(u->log, out, s->count, width))
         return false;
     out->n = 0;
-    for (at = u->begins; at < u->end && (kind = message(u->log, &at, &body, &size));) {
+    for (size_t i = 0; i < s->count; i++) {
         int64_t since;
-        if (kind != 'D' || &u->subscriptions[u->place[number(body, 2)]] != s)
-            continue;
+        at = s->at[i];
+        message(u->log, &at, &body, &size);
         if (size < least + 2)
             return rw_refuse(u->log, DAMAGED, (unsigned long)(body - u->log->data));
         since = (int64_t)(number(body + 2 + stamp.offset, 8) - u->start);
