@@ -213,7 +213,7 @@ def test_the_page_judges_a_log_without_a_network(width, page, logs, chromium):
             assert headline in shown("#verdict") and tab.overflow() == 0
             if name != "damaged.bin":
                 assert "rotorwatch diagnose" in shown("#left") and tab.page.locator("svg circle.weak").count() == 1
-                assert re.search(r"lost thrust: \d+ %", shown("#parts"))
+                assert re.search(r"loss of effectiveness: \d+ %", shown("#parts"))
         assert not tab.violations() and not tab.wrong and tab.hosts <= {""}
         tab.page.evaluate(
             "() => { const held = new DataTransfer(); held.items.add(new File(['x'], 'dropped.bin'));"

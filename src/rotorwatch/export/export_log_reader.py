@@ -9,6 +9,7 @@ both languages need to know, frames, constants and names, is written from here i
 from __future__ import annotations
 
 import base64
+import json
 import shutil
 import subprocess
 import tempfile
@@ -66,7 +67,12 @@ def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
     if page:
         code, script = compiled(folder), (SOURCES / SCRIPT).read_text(encoding="utf-8")
         template = (SOURCES / PAGE).read_text(encoding="utf-8")
-        filled = {"@CODE@": base64.b64encode(code).decode(), "@JUDGE@": script.partition("// begin\n")[2].partition("// end\n")[0]}
+        told = {row.name: {"noun": row.noun, "weakens": row.weakens, "accuses": row.accuses} for row in kinds.table().values()}
+        filled = {
+            "@KINDS@": json.dumps(told),
+            "@CODE@": base64.b64encode(code).decode(),
+            "@JUDGE@": script.partition("// begin\n")[2].partition("// end\n")[0],
+        }
         for mark, text in filled.items():
             template = template.replace(mark, text)
         for name, data in ("rotorwatch.wasm", code), (SCRIPT, script.encode()), (PAGE, template.encode()):
