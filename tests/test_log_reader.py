@@ -5,6 +5,7 @@ import lzma
 import os
 import re
 import shutil
+import struct
 import subprocess
 
 import numpy as np
@@ -137,6 +138,13 @@ def test_bad_input_gets_a_sentence(command, logs, tmp_path):
     plane = (logs / ULOG).read_bytes().replace(b"int32_t CA_AIRFRAME\0\0\0\0", b"int32_t CA_AIRFRAME\1\0\0\0")
     (tmp_path / "plane.ulg").write_bytes(plane)
     assert "CA_AIRFRAME 1 is not a plain multirotor" in refused(tmp_path / "plane.ulg")
+    swapped = (logs / DATAFLASH).read_bytes()
+    for output, motor in ((1, 2), (2, 1)):
+        name = f"SERVO{output}_FUNCTION\0".encode()
+        assert name + struct.pack("<f", 32 + output) in swapped
+        swapped = swapped.replace(name + struct.pack("<f", 32 + output), name + struct.pack("<f", 32 + motor))
+    (tmp_path / "swapped.bin").write_bytes(swapped)
+    assert "output 1 follows the rate controller as motor 2" in refused(tmp_path / "swapped.bin")
 
 
 @needs_gcc

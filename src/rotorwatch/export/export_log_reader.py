@@ -26,7 +26,7 @@ from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine import driver
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.intake import airborne, planning, sense, sizes
-from rotorwatch.engine.motion import allocation
+from rotorwatch.engine.motion import allocation, mixing, trust
 from rotorwatch.errors import ConfigError, VehicleError
 from rotorwatch.export import projects
 from rotorwatch.flight import kinds, vehicle, vehicle_kind
@@ -38,8 +38,8 @@ SOURCES = Path(__file__).parent / "log_reader_c"
 PAGE, SCRIPT = "rotorwatch.html", "rotorwatch.mjs"
 LEFT_TO_DIAGNOSE = (
     "These are the events that a flight controller would have announced. Only rotorwatch diagnose compares them with wind, a shifted load "
-    "or late rotors, tests whether the log contradicts itself, as by outputs in the wrong order, and judges losses of control, damage "
-    "present at take-off, ESC telemetry, vibration and reports of the autopilot."
+    "or late rotors, tests in all its ways whether the log contradicts itself, and judges losses of control, damage present at take-off, "
+    "ESC telemetry, vibration and reports of the autopilot."
 )
 WASM = (
     "--target=wasm32-wasi",
@@ -125,6 +125,11 @@ def tables() -> str:
         "AEROBATIC_HZ": aerobatic.LEAST_HZ, "HOVERING": aerobatic.HOVERING, "CARRIES_LEAST": aerobatic.CARRIES[0],
         "CARRIES_MOST": aerobatic.CARRIES[1], "JUDGED_LEAST_S": conclusion.LEAST_S, "RAW_TORQUE": dataflash.RAW_TORQUE,
         "RAW_THROTTLE": dataflash.RAW_THROTTLE,
+        "STILL": mixing.STILL, "STILL_S": trust.STILL_S, "STILL_RAD": trust.STILL_RAD, "STILL_LONG_S": trust.STILL_LONG_S,
+        "STILL_LONG_RAD": trust.STILL_LONG_RAD, "STILL_SAMPLES": trust.STILL_SAMPLES, "WINDOW_S": mixing.WINDOW_S, "WINDOW_LEAST": mixing.LEAST, "LEAST_WINDOWS": mixing.LEAST_WINDOWS,
+        "SEEN": mixing.SEEN, "ROUNDED": mixing.ROUNDED, "OWN": mixing.OWN, "EXACT": mixing.EXACT, "BETTER": mixing.BETTER,
+        "FOLLOWS": mixing.FOLLOWS, "NEARLY_ALL": mixing.NEARLY_ALL, "MIXING_HZ": mixing.RATE_HZ, "LIMIT": mixing.LIMIT,
+        "PAIR_S": mixing.PAIR_S,
         "FALLS_S": witness.FALLS_S, "NEAR_M": near_ground.NEAR_M, "FRESH_S": near_ground.FRESH_S, "MOVES_M": near_ground.MOVES_M,
         "FAR": lone_values.FAR, "JUMPS": plausible.JUMPS,
         "ALONE": plausible.ALONE, "ALONE_IN_AXIS": plausible.ALONE_IN_AXIS,

@@ -288,7 +288,7 @@ static void look(seen *all, const rw_vehicle *v, const spans *air, const rw_made
     }
 }
 
-/* The ticks in which the ground carries a part of the vehicle; before a fall it does not. */
+/* The ticks in which the ground carries a part of the vehicle; before a fall it does not. False where the outputs are not those that flew. */
 static bool find_ground(rw_log *log, const spans *air, const rw_engine *g, const rw_plan *p, seen *all)
 {
     const size_t n = all->commanded;
@@ -303,7 +303,7 @@ static bool find_ground(rw_log *log, const spans *air, const rw_engine *g, const
                          all->axial, g->estimator.branches.all[0].s[RW_AIR], (int32_t)air->count, starts, ends, carried, some, rows, all->ground);
     for (size_t i = 0; i < n; i++)
         all->ground[i] = all->ground[i] && all->time[i] <= all->upset - RW_FALLS_S;
-    return true;
+    return rw_outputs_flew(log, starts, ends, air->count);
 }
 
 static bool on_ground(const seen *all, rw_time time)

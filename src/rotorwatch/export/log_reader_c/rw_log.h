@@ -76,6 +76,7 @@ void rw_eigen(int n, double *a, double *vector); /* symmetric a (n, n): eigenval
 
 /* The readers, their values that are damage, and the airframe. */
 bool rw_without_damage(rw_log *log);
+bool rw_outputs_flew(rw_log *log, const rw_time *starts, const rw_time *ends, size_t flights);
 bool rw_ulog_read(rw_log *log);
 bool rw_dataflash_read(rw_log *log);
 bool rw_px4_airframe(rw_log *log);
