@@ -57,6 +57,11 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
 NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/simulation/prepare.py": ("simulate",),
     "logs/container.py": ("logs_open",),
+    "logs/lone_values.py": ("plausible",),
+    "engine/intake/planning.py": ("ticks", "slow_logs", "log_reader"),
+    "engine/estimator/prior.py": ("plant", "learning"),
+    "engine/events/carried.py": ("rivals", "log_reader"),
+    "export/export_log_reader.py": ("log_reader",),
     "engine/bindings/explaining.py": ("rivals",),
     "witnesses/odds.py": ("odds", "rivals"),
     "logs/raw_sensors.py": ("balance",),

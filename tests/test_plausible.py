@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes, diagnose, logs
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import parameter_ranges, plausible, series
+from rotorwatch.logs import lone_values, parameter_ranges, plausible, series
 
 FLIGHTS = Path(__file__).parents[1] / "../shared/flights"
 HZ = 10.0
@@ -267,7 +267,7 @@ def test_a_log_cut_short_keeps_what_was_said_before_the_cut():
     whole = flight(**changed("lift", [100, 240], 1, 0.3), **changed("motors", [150, 290], 2, 200.0))
     cut, all_of_it = plausible.checked(whole.until(30.0)), plausible.checked(whole)
     for name in ("motors", "lift"):
-        n = len(cut[name]) - plausible.AHEAD - 2
+        n = len(cut[name]) - lone_values.AHEAD - 2
         assert (cut[name].valid[:n] == all_of_it[name].valid[:n]).all()
     assert not all_of_it["motors"].valid[290, 2] and not cut["motors"].valid[290, 2]
 

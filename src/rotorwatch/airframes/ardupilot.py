@@ -51,7 +51,7 @@ def identify(flight: Flight) -> Vehicle | None:
     parameters = airframes.finite(flight)
     notes: list[str] = []
     if parameters.get("FRAME_CLASS", 0) > 0:
-        frame = _frame(int(parameters["FRAME_CLASS"]), int(parameters.get("FRAME_TYPE", 1)))
+        frame = frame_of(int(parameters["FRAME_CLASS"]), int(parameters.get("FRAME_TYPE", 1)))
         source = "FRAME_CLASS, FRAME_TYPE"
     elif "FRAME" in parameters:
         frame = _old_frame(flight, notes)
@@ -114,7 +114,8 @@ def curve(flight: Flight, notes: list[str]) -> ThrustCurve:
     return ThrustCurve(low + start * span, low + full * span, expo, known)
 
 
-def _frame(number: int, kind: int) -> str:
+def frame_of(number: int, kind: int) -> str:
+    """The frame of a FRAME_CLASS and a FRAME_TYPE. Raises VehicleError."""
     if number in UNSUPPORTED:
         raise VehicleError(
             f"FRAME_CLASS {number} is {UNSUPPORTED[number]}, which is not supported: only multirotors with fixed rotors are."

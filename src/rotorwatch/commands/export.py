@@ -15,6 +15,8 @@ from rotorwatch.errors import ConfigError
 @option("--estimator", "Estimator to export.", metavar="NAME")
 @option("--allocator", "Export the control allocation: estimate, bounds, posterior or pseudo-inverse.", metavar="WAY")
 @flag("--diagnoser", "Export the whole default diagnosis: samples in, events out.")
+@flag("--log-reader", "Export the diagnosis with readers of ULog and DataFlash: a log in, JSON out.")
+@flag("--page", "Log reader: compile it to WebAssembly as well, with a page that judges logs in a browser.")
 @option("--vehicle", "Vehicle file (TOML) or an airframe's name; default: the method's paper's.", metavar="FILE|NAME")
 @option("-o --out", "Folder to write into.", required=True, type=OUT, metavar="DIR")
 @option("--dt", "Length of a step.", type=click.FloatRange(0, min_open=True), metavar="S")
@@ -24,19 +26,25 @@ from rotorwatch.errors import ConfigError
 @option("--sensor-hz", "Diagnoser: rate of gyro and accelerometer [100].", type=click.FloatRange(0, min_open=True), metavar="HZ")
 @option("--prefix", "Diagnoser: prefix of its names [rw].", metavar="NAME")
 @common
-def export_c(estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet) -> None:
-    """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, as C99 that needs nothing but libm
-    (docs/export.md)."""
+def export_c(
+    estimator, allocator, diagnoser, log_reader, page, vehicle, out, dt, variable_dt, rate_hz, control_hz, sensor_hz, prefix, quiet
+) -> None:
+    """Write an estimator, the control allocation (docs/control.md), or the whole diagnosis, for a flight controller or for logs, as C99
+    that needs nothing but libm (docs/export.md)."""
     from rotorwatch.base import discovery, files
     from rotorwatch.export.export_default import FRAME, export_default
     from rotorwatch.flight import vehicle_file
 
-    if (estimator is not None) + (allocator is not None) + diagnoser != 1:
-        raise ConfigError("Give one of --estimator NAME, --allocator WAY and --diagnoser.")
+    if (estimator is not None) + (allocator is not None) + diagnoser + log_reader != 1:
+        raise ConfigError("Give one of --estimator NAME, --allocator WAY, --diagnoser and --log-reader.")
     given: dict[str, Any] = {"rate_hz": rate_hz, "control_hz": control_hz, "gyro_hz": sensor_hz, "accel_hz": sensor_hz}
     given = {key: value for key, value in (given | {"prefix": prefix}).items() if value is not None}
     if given and not diagnoser:
         raise ConfigError("--rate-hz, --control-hz, --sensor-hz and --prefix belong to --diagnoser.")
+    if page and not log_reader:
+        raise ConfigError("--page belongs to --log-reader.")
+    if log_reader and (vehicle is not None or dt is not None or variable_dt):
+        raise ConfigError("A log names its vehicle and rates: leave --vehicle, --dt and --variable-dt out.")
     if diagnoser and (dt is not None or variable_dt):
         raise ConfigError("The diagnoser's ticks follow from --rate-hz: leave --dt and --variable-dt out.")
     if allocator is not None and (dt is not None or variable_dt):
@@ -44,6 +52,11 @@ def export_c(estimator, allocator, diagnoser, vehicle, out, dt, variable_dt, rat
     if allocator not in (None, "estimate", "bounds", "posterior", "pseudo-inverse"):
         raise ConfigError(f"--allocator {allocator}: give estimate, bounds, posterior or pseudo-inverse.")
     files.folder(out, "--out")
+    if log_reader:
+        from rotorwatch.export.export_log_reader import export_log_reader
+
+        click.echo("\n".join(map(str, export_log_reader(out, page=page))))
+        return
     craft = vehicle
     if vehicle is not None and (Path(vehicle).suffix == ".toml" or Path(vehicle).exists()):
         craft = vehicle_file.read(vehicle)

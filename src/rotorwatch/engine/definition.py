@@ -32,8 +32,9 @@ from rotorwatch.engine.estimator import (
 from rotorwatch.engine.estimator import batch as estimator_whole
 from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
 from rotorwatch.engine.estimator import known as estimator_known
-from rotorwatch.engine.events import calls, changes, decisions, events, losses, records, texts, words
-from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer, sense, sizes, ticks
+from rotorwatch.engine.estimator import prior as estimator_prior
+from rotorwatch.engine.events import calls, carried, changes, decisions, events, losses, records, texts, words
+from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer, planning, sense, sizes, ticks
 from rotorwatch.engine.intake import craft as vehicle
 from rotorwatch.flight import Flight, Message
 
@@ -45,7 +46,21 @@ TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, *TRIM, engine, calls, estimator_whole, estimator_known, explanations, many, feed),
+    (
+        *FRONT,
+        *ESTIMATOR,
+        *TRIM,
+        engine,
+        calls,
+        estimator_whole,
+        estimator_known,
+        estimator_prior,
+        explanations,
+        many,
+        planning,
+        carried,
+        feed,
+    ),
     SIZES,
     [
         *(file for folder in ("intake", "estimator", "drift", "events") for file in files_in(f"engine/{folder}")),

@@ -49,6 +49,25 @@ target_link_libraries(example PRIVATE {name})
 """
 
 
+def log_reader_cmake(sources: Sequence[str]) -> str:
+    """CMakeLists.txt of the log reader: a library of these sources and the command rotorwatch-c."""
+    return f"""cmake_minimum_required(VERSION 3.10)
+project(rotorwatch_c C)
+
+if(NOT CMAKE_BUILD_TYPE)
+  set(CMAKE_BUILD_TYPE Release)
+endif()
+add_library(rw_log STATIC {" ".join(sources)})
+target_include_directories(rw_log PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
+set_target_properties(rw_log PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF)
+target_compile_options(rw_log PRIVATE -O3 -ffp-contract=off -fno-math-errno -fno-trapping-math)
+target_link_libraries(rw_log PUBLIC m)
+
+add_executable(rotorwatch-c rw_main.c)
+target_link_libraries(rotorwatch-c PRIVATE rw_log)
+"""
+
+
 def diagnoser_example(output_hz: float, motion_hz: float) -> str:
     """example.c of the diagnoser: a minute of hover, in which one rotor is commanded more than the others from 30 s on."""
     return f"""/* A minute of hover made up on the spot: take-off, and from 30 s on rotor 1 needs more than the others for the same motion.

@@ -17,32 +17,27 @@ time.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.base.compiling.running import Definition
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.logs import esc_columns, series
+from rotorwatch.logs import esc_columns, lone_values, series
+from rotorwatch.logs.lone_values import BEFORE, FAR
 from rotorwatch.logs.series import Impossible
 
-SCALES = 8.0
-AGREE = 3.0
-BEFORE = 24  # samples before, for the roughness of the signal
-AHEAD = 7  # samples on each side, for the roughness here; the nearest two share the value in question
-FAR = 6.0  # typical intervals; a neighbour further away is not used
+LONE = Definition("lone", (lone_values,), (), ["logs/lone_values.py"])
 JUMPS = 0.4  # share of the limit for lone values beyond which another value jumps with it
 ALONE = 0.125  # ... and the same as a share of the lone value's deviation
 ALONE_IN_AXIS = 0.33  # ... among motors, which share every error of roll, pitch, yaw and thrust
 HABIT = 0.05  # share of a signal's values beyond which it is not damage but the signal's nature
 FITTED, FIT_EVERY = 512, 64  # samples for the fit of the mixer's matrix, and its interval
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
-TINY = 1e-12
 PIECE, MARGIN = 1 << 15, 64  # samples processed at a time; margin on each side
-TOGETHER = 1 << 18  # values of columns processed together
 NAMED = 3  # times that a warning names
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
 HEAVY, LEAST_HEAVY = 0.002, 5
@@ -260,9 +255,13 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
 
     alike: columns have the same roughness, as motor commands of one mixer do. A constant one (a motor at idle) does not show its roughness
     in motion, so at least the mean of the moving ones is taken."""
-    if len(time) <= PIECE or not valid.all():
-        return _size_of(time, values, valid, floor, alike)
-    near, parts = _Times(time).near, []
+    time, values, valid = np.ascontiguousarray(time, float), np.ascontiguousarray(values, float), np.ascontiguousarray(valid, bool)
+    whole = bool(valid.all())
+    near = np.array([_near(time if whole else time[column]) for column in (valid[:, :1] if whole else valid).T])
+    near = np.ascontiguousarray(np.broadcast_to(near, valid.shape[1]))
+    if len(time) <= PIECE or not whole:
+        return _size_of(time, values, valid, floor, alike, near)
+    parts = []
     for start in range(0, len(time), PIECE):
         first = max(start - MARGIN, 0)
         part = slice(first, start + PIECE + MARGIN)
@@ -272,114 +271,17 @@ def _size(time, values, valid, floor: float, alike: bool = False) -> Lone:
     return Lone(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-def _size_of(time, values, valid, floor: float, alike: bool, near: float | None = None) -> Lone:
-    """The same of a part of a table. near: as of `_Times`, None: of this part."""
-    lone: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    groups = [(columns, where, _Times(time[where], near)) for columns, where in _groups(valid)]
-    rough = None
-    if alike:
-        rough = np.zeros(values.shape[::-1])
-        for columns, where, times in groups:
-            if len(times.t) > 2 * AHEAD:
-                rough[columns, where] = np.abs(_residual(_columns(values, columns, where), times.single, 1, 1)[0])
-        mean = rough.T.sum(axis=1) / np.maximum((rough > 0.0).sum(axis=0), 1)
-        rough = np.maximum(rough, mean)
-    for columns, where, times in groups:
-        if len(times.t) > 2 * AHEAD:
-            usual = None if rough is None else np.ascontiguousarray(rough[columns, where])
-            size = _alone(times, _columns(values, columns, where), usual, floor)
-            who, at = np.nonzero(size)
-            rows = at if isinstance(where, slice) else where[at]
-            lone.append((rows, who + columns.start, size[who, at]))
-    if not lone:
-        return Lone(np.zeros(0, int), np.zeros(0, int), np.zeros(0))
-    rows, columns, sizes = map(np.concatenate, zip(*lone))
-    order = np.lexsort((columns, rows))
-    return Lone(rows[order], columns[order], sizes[order])
+def _near(time: np.ndarray) -> float:
+    """Largest distance of a neighbour [s]."""
+    return FAR * max(float(median(np.diff(time))), 1e-6) if len(time) > 1 else 0.0
 
 
-def _groups(valid: np.ndarray) -> list[tuple[slice, Any]]:
-    """Adjacent columns of valid (n, k) that are known at the same times, and the rows of these; each column by itself in a long log, to
-    save memory."""
-    n, k = valid.shape
-    width = k if n * k <= TOGETHER else 1
-    if (valid == valid[:, :1]).all():
-        where = slice(None) if valid[:, :1].all() else np.flatnonzero(valid[:, 0])
-        return [(slice(first, min(first + width, k)), where) for first in range(0, k, width)]
-    return [(slice(j, j + 1), np.flatnonzero(valid[:, j])) for j in range(k)]
-
-
-def _columns(values: np.ndarray, columns: slice, where: Any) -> np.ndarray:
-    """(k, n) of values (n, k): some columns at some rows."""
-    return np.ascontiguousarray(values[where, columns].T)
-
-
-class _Times:
-    """Times t (n,) of samples, and derived quantities. near: largest distance of a neighbour [s]; single, pair: `_share` of all samples
-    between the one before and the next one, or the second after."""
-
-    def __init__(self, t: np.ndarray, near: float | None = None):
-        self.t = t
-        if near is not None:
-            self.near = near
-
-    @functools.cached_property
-    def near(self) -> float:
-        return FAR * max(float(median(np.diff(self.t))), 1e-6)
-
-    @functools.cached_property
-    def single(self) -> np.ndarray:
-        return _share(self.t, slice(0, -2), slice(1, -1), slice(2, None))
-
-    @functools.cached_property
-    def pair(self) -> np.ndarray:
-        return _share(self.t, slice(0, -3), slice(1, -2), slice(3, None))
-
-
-def _share(t: np.ndarray, first, middle, last) -> np.ndarray:
-    """Position of the middle one of three samples between the first and the last, 0 to 1; each by its indices."""
-    return np.clip((t[middle] - t[first]) / np.maximum(t[last] - t[first], 1e-9), 0.0, 1.0)
-
-
-def _alone(times: _Times, x: np.ndarray, rough: np.ndarray | None, floor: float) -> np.ndarray:
-    """(k, n) as `_size`, of columns x (k, n) without gaps in validity; rough: (k, n) |r| for the usual scale, None: their own."""
-    t, near, n = times.t, times.near, len(times.t)
-    least = max(floor, TINY)
-
-    def candidates(r: np.ndarray, spread: np.ndarray) -> np.ndarray:
-        r = np.abs(r)
-        return np.flatnonzero((r > floor) & (r > AGREE * spread))
-
-    def far(at: np.ndarray, before: int, after: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The lone ones of the samples `at`, and their deviations; r: `_residual` at these. Places in x, row after row."""
-        place, r = at % n, np.abs(r)
-        some = (t[place] - t[place - before] <= near * before) & (t[place + after] - t[place] <= near * after)
-        at, place, r = at[some], place[some], r[some]
-        around = _around(usual, at, place, n)
-        some = r > np.maximum(SCALES * around, least)  # few pass, and the other scale is slower to compute
-        at, place, r, around = at[some], place[some], r[some], around[some]
-        size = r / np.maximum(SCALES * np.maximum(around, _before(usual, at, place, n)), least)
-        return at[size > 1.0], size[size > 1.0]
-
-    size = np.zeros(x.size)
-    r, spread = _residual(x, times.single, 1, 1)
-    usual = (np.abs(r) if rough is None else rough).reshape(-1)
-    inner = candidates(r, spread)
-    at, off = far(inner, 1, 1, r.reshape(-1)[inner])
-    size[at] = off
-    # Two in a row: the first is compared with the samples one before and two after it, the second the other way round.
-    r, spread = _residual(x, times.pair, 1, 2)
-    inner = candidates(r, spread)
-    first, off = far(inner, 1, 2, r.reshape(-1)[inner])
-    if first.size:
-        second = first + 1
-        r, spread = _residual_at(t, x.reshape(-1), 2, 1, second, second % n)
-        some = (np.abs(r) > floor) & (np.abs(r) > AGREE * spread)
-        second, other = far(second[some], 2, 1, r[some])
-        pair = np.minimum(off[np.isin(first + 1, second)], other)
-        for at in (second - 1, second):
-            size[at] = np.maximum(size[at], pair)
-    return size.reshape(x.shape)
+def _size_of(time, values, valid, floor: float, alike: bool, near: np.ndarray) -> Lone:
+    """The same of a part of a table. near (k,): of all of it."""
+    size, at = np.empty(values.shape), np.empty(len(time), np.int32)
+    LONE.call(lone_values.lone, *values.shape, time, values, valid, floor, alike, near, np.empty(values.shape), at, size)
+    rows, columns = np.nonzero(size)
+    return Lone(rows, columns, size[rows, columns])
 
 
 def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarray:
@@ -393,32 +295,12 @@ def _support(time, values, valid, size: Lone, floor: float, at, own) -> np.ndarr
         there = np.isin(size.rows, rows)
         size = Lone(np.searchsorted(rows, size.rows[there]), size.columns[there], size.sizes[there])
         time, values, valid, at = time[rows], values[rows], valid[rows], np.searchsorted(rows, at)
-    n, columns = values.shape
-    begins = np.bincount(np.maximum(at - BEFORE - 1, 0), minlength=n + 1)
-    begins -= np.bincount(np.minimum(at + BEFORE + 2, n), minlength=n + 1)
-    near = np.cumsum(begins[:-1]) > 0
-    there, inner = np.flatnonzero(near), np.flatnonzero(near[:-2] & near[1:-1] & near[2:]) + 1
-    middle, place = np.searchsorted(there, inner), np.searchsorted(there, at)
-    calm, r, known = np.zeros((columns, there.size)), np.zeros((columns, there.size)), np.zeros(columns, bool)
-    when, seen = time[there], valid[there]
-    apart = bool((when[1:] > when[:-1]).all())
-    for k in range(columns):
-        mine = size.rows[size.columns == k]
-        if apart and not mine.size and seen[:, k].all():  # as the line between them is there
-            calm[k], known[k] = values[there, k], True
-            continue
-        good = valid[:, k].copy()
-        good[mine] = False
-        known[k] = good.any()
-        if known[k]:
-            calm[k] = np.interp(when, time[good], values[good, k])
-    share = _share(time, inner - 1, inner, inner + 1)
-    r[:, middle] = _off(calm[:, middle - 1], calm[:, middle], calm[:, middle + 1], share)[0]
-    jump = np.abs(r[:, place] + np.where(valid[at].T, values[at].T - calm[:, place], 0.0))
-    each = (np.arange(columns)[:, None] * there.size + place).reshape(-1)
-    usual = _scale(np.abs(r).reshape(-1), each, np.tile(at, columns), n).reshape(jump.shape)
-    jump /= np.maximum(SCALES * usual, max(floor, TINY))
-    return np.where((own == np.arange(columns)[:, None]) | ~known[:, None], 0.0, jump).max(axis=0)
+    marked, jumps = np.zeros(values.shape), np.zeros(at.size)
+    marked[size.rows, size.columns] = size.sizes
+    tables = [np.ascontiguousarray(x, kind) for x, kind in ((time, float), (values, float), (valid, bool))]
+    wanted = at.size, at.astype(np.int32), np.broadcast_to(own, at.shape).astype(np.int32)
+    LONE.call(lone_values.support, *values.shape, *tables, marked, floor, *wanted, np.empty(values.shape), np.empty(values.shape), jumps)
+    return jumps
 
 
 def _around_them(valid: np.ndarray, size: Lone, at: np.ndarray) -> np.ndarray:
@@ -443,51 +325,6 @@ def _nearest(time: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         return np.zeros(wanted.shape, int)
     after = np.clip(np.searchsorted(time, wanted), 1, time.size - 1)
     return after - (wanted <= 0.5 * (time[after] + time[after - 1]))
-
-
-def _residual(x: np.ndarray, share: np.ndarray, before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
-    """(r, D) of each sample of x (..., n) against the line from the one `before` steps before it to the one `after` steps after it; 0
-    where one of the two is missing. share: how far on that line each is in time."""
-    r, spread, n = np.zeros(x.shape), np.zeros(x.shape), x.shape[-1]
-    middle = (..., slice(before, n - after))
-    r[middle], spread[middle] = _off(x[..., : n - before - after], x[middle], x[..., before + after :], share)
-    return r, spread
-
-
-def _residual_at(t, x, before: int, after: int, at: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same of the samples x[at], which have both, at times t[place]."""
-    return _off(x[at - before], x[at], x[at + after], _share(t, place - before, place, place + after))
-
-
-def _off(first: np.ndarray, middle: np.ndarray, last: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    with np.errstate(over="ignore", invalid="ignore"):
-        step = last - first
-        return middle - first - step * share, np.abs(step)
-
-
-def _scale(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
-    """Usual residual at the samples `at`: the larger of those before and around."""
-    return np.maximum(_around(rough, at, place, n), _before(rough, at, place, n))
-
-
-def _before(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
-    """Usual residual before the samples `at`."""
-    return median(_those(rough, at, place, n, np.arange(-BEFORE, -2)), axis=1)
-
-
-def _around(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int) -> np.ndarray:
-    """Usual residual around the samples `at`."""
-    around = np.concatenate([np.arange(-AHEAD, -2), np.arange(3, AHEAD + 1)])
-    return np.partition(_those(rough, at, place, n, around), around.size // 2, axis=1)[:, around.size // 2]
-
-
-def _those(rough: np.ndarray, at: np.ndarray, place: np.ndarray, n: int, offsets: np.ndarray) -> np.ndarray:
-    """(m, k) residuals at these offsets from the samples rough[at], mirrored where there are none: these are the samples `place` of n."""
-    index = place[:, None] + offsets
-    inside = (index >= 1) & (index <= n - 2)  # the first and the last sample have no residual
-    if not inside.all():
-        index = np.clip(np.where(inside, index, place[:, None] - offsets), 1, n - 2)
-    return rough.take(index + (at - place)[:, None])
 
 
 def _floor(name: str, signal: Signal) -> float:

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rotorwatch.engine.estimator import plant as definition
-from rotorwatch.engine.estimator.plant import B3, DAMPING, GAIN, ONE_ARM, PER_AXIS, SIDEWAYS
+from rotorwatch.engine.definition import ENGINE
+from rotorwatch.engine.estimator import prior
+from rotorwatch.engine.estimator.plant import AIR, CURVE, GAIN, PER_AXIS, Plant
 
 AXES = ("roll", "pitch", "yaw", "thrust")
 AXIS_STATES = 4 * PER_AXIS
@@ -29,36 +30,37 @@ def packed(ticks, n: int) -> np.ndarray:
 
 def any_multirotor(n: int) -> tuple[np.ndarray, np.ndarray]:
     """(mean (20,), covariance (20, 20)) of the prior state of an unknown vehicle with n rotors."""
-    mean, P = np.zeros((4, PER_AXIS)), np.zeros((4, PER_AXIS, 4, PER_AXIS))
-    for axis in range(4):
-        gain, sd = (n * definition.GAIN_MEAN[axis], n * definition.GAIN_SD[axis]) if axis < 3 else (1.0, definition.GAIN_SD[axis])
-        rate, rate_sd = (definition.DAMPING_RATE, definition.DAMPING_RATE_SD) if axis < 3 else (0.0, 0.0)
-        mean[axis, GAIN], mean[axis, DAMPING] = gain, rate * gain
-        P[axis, B3, axis, B3] = definition.BIAS_SD[axis] ** 2
-        P[axis, GAIN, axis, GAIN] = sd**2
-        P[axis, GAIN, axis, DAMPING] = P[axis, DAMPING, axis, GAIN] = rate * sd**2
-        P[axis, DAMPING, axis, DAMPING] = (rate * sd) ** 2 + rate_sd**2 * (gain**2 + sd**2)
-    mean, P = mean.reshape(-1), P.reshape(AXIS_STATES, AXIS_STATES)
-    mean[SIDEWAYS], P[SIDEWAYS, SIDEWAYS] = n * definition.SIDE, (n * definition.SIDE_SD) ** 2
-    return mean, P
+    mean, P = _prior(n)
+    return mean[:AXIS_STATES], P[:AXIS_STATES, :AXIS_STATES]
+
+
+def _prior(n: int) -> tuple[np.ndarray, np.ndarray]:
+    made = ENGINE.new(Plant)
+    made.set(rotors=n)
+    ENGINE.call(prior.any_multirotor, made)
+    return made["mean"][0].copy(), made["variance"][0].copy()
 
 
 def lower_rotors(B: np.ndarray) -> np.ndarray | None:
     """(n,) 1 for each rotor at the place of a stronger one: the lower ones of coaxial arms. None where there are none."""
-    place = B[:2] / B[3]
-    one_arm = abs(place[:, :, None] - place[:, None, :]).max(axis=0) < ONE_ARM
-    lower = (one_arm & (B[3][None, :] > 1.02 * B[3][:, None])).any(axis=1)
-    return lower.astype(float) if lower.any() else None
+    made, n = ENGINE.new(Plant), B.shape[1]
+    made.set(rotors=n, effect=np.asarray(B, float))
+    return made["lower"][0, :n].astype(float) if ENGINE.call(prior.lower_rotors, made) else None
 
 
 def any_curve() -> np.ndarray:
     """(2,) prior mean and variance of the thrust curve's bend."""
-    return np.array([0.0, 1.0])
+    return _of_state(CURVE)
 
 
 def any_air() -> np.ndarray:
     """(2,) prior mean and variance of the effect of air along the thrust axis."""
-    return np.array([definition.INFLOW, definition.INFLOW_SD**2])
+    return _of_state(AIR)
+
+
+def _of_state(state: int) -> np.ndarray:
+    mean, P = _prior(1)
+    return np.array([mean[state], P[state, state]])
 
 
 def usual_gains(n: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Build machine code for distribution: `python -m rotorwatch.engine.bindings.shipping FOLDER`.
 
 The build of the package calls it (hatch_build.py). Compiled from definitions (docs/one-definition.md): the front end, the estimator, the
-decoder of Blackbox logs and the ULog parser, one library each.
+decoder of Blackbox logs, the ULog parser and the search for damaged values, one library each.
 """
 
 from __future__ import annotations
@@ -16,9 +16,10 @@ from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs.blackbox.decoder import BLACKBOX
+from rotorwatch.logs.plausible import LONE
 from rotorwatch.logs.ulog_data import ULOG
 
-DEFINITIONS = (ENGINE, BLACKBOX, ULOG)
+DEFINITIONS = (ENGINE, BLACKBOX, LONE, ULOG)
 
 
 def levels(portable: bool) -> tuple[str, ...]:

@@ -1,6 +1,7 @@
 """From samples to ticks: one definition for logs, links and flight controllers (docs/one-definition.md).
 
 sizes.py       capacities
+planning.py    division of a flight into ticks, by the rates of its signals
 craft.py       the vehicle: geometry, output range, thrust curve
 airborne.py    detection of take-off and landing
 mixer.py       outputs compared with the rate controller's demand

@@ -19,6 +19,20 @@ from rotorwatch.engine.definition import ENGINE, Part, craft, pieces
 from rotorwatch.engine.events import calls
 from rotorwatch.engine.intake import sense as cutting
 from rotorwatch.engine.intake import ticks as definition
+from rotorwatch.engine.intake.planning import (
+    LAG_S,
+    LATE_PERIODS,
+    READY_KNOWN_S,
+    READY_S,
+    READY_TICKS,
+    SHORTEST_S,
+    TICKS_S,
+    half_averaged,
+    ready_after,
+    ready_within,
+    samples_in,
+    tick_length,
+)
 from rotorwatch.engine.intake.sense import LATE_S, SIDE_S
 from rotorwatch.engine.intake.ticks import AGAIN, GROUND, HOVER_LEARN_S, JUDGE, LEARN
 from rotorwatch.engine.motion import allocation
@@ -26,13 +40,9 @@ from rotorwatch.engine.motion.knocks import Contact, contacts, look_back
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
-__all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "SIDE_S"]
+__all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "READY_KNOWN_S", "READY_S", "READY_TICKS", "SIDE_S", "TICKS_S"]
 
-LAG_S = 0.02
-
-# s in the air before evaluation; the same where the noise is known from healthy flights.
-READY_S, READY_KNOWN_S = 8.0, 3.0
-LATE_PERIODS = 1.5  # of slow motion: shortest wait of a tick
+EARLIEST_TICKS = 2  # duration of an announcement: engine/estimator/announcement.py
 ROOM = 512  # rows in one call
 
 
@@ -87,20 +97,6 @@ def joined(parts: Sequence[Ticks]) -> Ticks:
     return Ticks(**columns)
 
 
-# Ticks in s, and the rate of commands in Hz above which nearly all of them hold one.
-LENGTHS = ((0.05, 19.0), (0.1, 8.0), (0.2, 4.5), (0.5, 1.8), (1.0, 0.0))
-TICKS_S = tuple(length for length, _ in LENGTHS)
-# A single sample of the commands is compared with motion over this long, or over a sample and a half of the gyro.
-SHORTEST_S = 0.2
-EARLIEST_TICKS = 2  # duration of an announcement: engine/estimator/announcement.py
-READY_TICKS = 30  # ticks needed to learn the noise
-
-
-def tick_length(rate_hz: float) -> float:
-    """Length of a tick in s for commands at that rate: 0.05 s from 19 Hz on, 1 s for the slowest."""
-    return next(length for length, least in LENGTHS if rate_hz >= least)
-
-
 def length_of(flight: Flight) -> float:
     """Length of a tick of a log with motor outputs [s]."""
     return tick_length(flight["control" if allocation.faster_control(flight) else "motors"].rate_hz)
@@ -116,16 +112,9 @@ def slow(rate_hz: float, dt: float, ready_s: float) -> str:
     )
 
 
-def ready_after(ready_s: float, dt: float) -> float:
-    """Blind time in s after lift-off: as requested, but long enough to learn the noise at slow ticks."""
-    return max(ready_s, READY_TICKS * dt)
-
-
 def ready_of(ready_s: float, air: Sequence[tuple[float, float]]) -> float:
-    """Blind time in s after lift-off of a whole log that was in the air at these times ((start, end), ...) s: at most half of its longest
-    flight, so that a short one is evaluated too, but long enough to learn the noise."""
-    longest = max((end - start for start, end in air), default=np.inf)
-    return min(ready_s, max(0.5 * longest, READY_KNOWN_S))
+    """`planning.ready_within` of a whole log that was in the air at these times ((start, end), ...) s."""
+    return ready_within(ready_s, max((end - start for start, end in air), default=np.inf))
 
 
 def _period(signal: Signal) -> float:
@@ -133,18 +122,6 @@ def _period(signal: Signal) -> float:
     time = signal.time[signal.whole]
     steps = np.diff(time)
     return float(median(steps[steps > 0])) if (steps > 0).any() else np.nan
-
-
-def samples_in(half: float, period: float) -> int:
-    """Samples that a window of twice `half` s needs at least, of a signal with so many s between two; NaN: unknown."""
-    return max(1, int(half / period * 0.8)) if period > 0.0 else 1
-
-
-def _span(motion: Signal, commands: Signal, dt: float) -> float:
-    """Half of the averaging time of a signal for a tick: the tick, but less where its commands are one sample."""
-    if dt <= SHORTEST_S or commands.rate_hz > 1.5 / dt:
-        return 0.5 * dt
-    return 0.5 * min(dt, max(SHORTEST_S, 1.5 / max(motion.rate_hz, 1e-3)))
 
 
 class Plan(NamedTuple):
@@ -184,7 +161,8 @@ def plan(flight: Flight, thrust: Signal, ready_s: float, lag_s: float = LAG_S, d
     motion = [name for name in (gyro, "accel" if flight.has("accel") else None) if name]
     return Plan(
         dt, ready_s, lag_s, float(np.floor((thrust.time[0] - phase) / dt) * dt + phase + half), gyro, flight.has("accel"),
-        {name: _span(flight[name], thrust, dt) for name in motion}, {name: _period(flight[name]) for name in motion}, tuple(notes),
+        {name: half_averaged(dt, thrust.rate_hz, flight[name].rate_hz) for name in motion},
+        {name: _period(flight[name]) for name in motion}, tuple(notes),
     )  # fmt: skip
 
 
