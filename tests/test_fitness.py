@@ -77,11 +77,6 @@ def test_the_first_checks_are_the_likeliest_rotors_and_no_more_than_three():
     assert set(end.fit_to_fly.checks) | set(end.fit_to_fly.surer) <= set(end.advice)
 
 
-@pytest.mark.parametrize(("parameters", "said"), [
-    ({"LOG_BITMASK": 176126.0}, "For the next log set LOG_BITMASK to 438271 (it is 176126): it adds motors faster and gyro faster."),
-    ({"LOG_BITMASK": 438271.0}, ""),
-    ({}, "Motors at 10 Hz: Set LOG_BITMASK bit 0, which adds 1 to its value (RATE at loop rate): the commands are rebuilt from it."),
-])  # fmt: skip
 @pytest.mark.parametrize(
     ("kind", "colour"), [("contact", "yellow"), ("little_thrust_left", "yellow"), ("loss_of_control", "red"), (None, "green")]
 )
@@ -94,6 +89,11 @@ def test_a_knock_is_never_green_in_any_view(kind, colour):
     assert ("✓" in answer.to_markdown().splitlines()[0]) == (colour == "green")
 
 
+@pytest.mark.parametrize(("parameters", "said"), [
+    ({"LOG_BITMASK": 176126.0}, "For the next log set LOG_BITMASK to 438271 (it is 176126): it adds motors faster and gyro faster."),
+    ({"LOG_BITMASK": 438271.0}, ""),
+    ({}, "Motors at 10 Hz: Set LOG_BITMASK bit 0, which adds 1 to its value (RATE at loop rate): the commands are rebuilt from it."),
+])  # fmt: skip
 def test_the_settings_are_given_as_a_whole_value(parameters, said):
     flight = rw.read(SAMPLES / "quadx_healthy_hover.bin.xz")
     assert settings.advice(replace(flight, parameters={**flight.parameters, "LOG_BITMASK": -1.0, **parameters})) == said

@@ -60,7 +60,7 @@ def code(tmp_path_factory):
 @pytest.mark.parametrize(
     "how, says",
     [
-        ({"loss": 0.4}, "rotorwatch: rotor 1 lost 37 % (28-45)"),
+        ({"loss": 0.4}, "rotorwatch: rotor 1 lost 37 % (25-48)"),
         ({"rise": 0.0, "drift": (0.0, 0.0, 0.8)}, "rotorwatch: motor mount twisted"),
         ({"turns": 0.3, "sag": 0.3}, ""),
         ({"drift": (0.3, 0.2, -0.5)}, ""),

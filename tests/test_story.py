@@ -211,7 +211,7 @@ def test_a_crash_teaches_a_fleet_nothing_and_its_page_says_so():
     flown[1]["trim"]["lost"] = True
     for rows, state in ((flown, "fault"), (flown[::-1], "fault"), (flown[:1], "healthy")):
         standing = assess.standings({"ab": rows}, {})[0]["ab"]
-        craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing}
+        craft = {"name": "A", "key": "ab", "flights": 2, "airborne_s": 60.0, "last": None, "standing": standing, "new": {}}
         shown = fleet_pages._index([craft | {"state": standing["state"]}])
         assert f'class="{state}"' in shown and ("1 lost control" in shown) == (state == "fault")
 

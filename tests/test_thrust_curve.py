@@ -122,7 +122,7 @@ def test_what_is_open_of_the_curve_is_open_of_a_loss_as_far_as_the_rotor_still_g
     part, _ = open_(0.4)
     assert part > 0.02
     none, loss = open_(1.0)
-    assert none < part * (1.0 - loss) / 0.5 + 1e-3
+    assert none < part * (1.0 - loss) / 0.4 + 1e-3  # the weaker it is, the further it is commanded along the curve
 
 
 @pytest.mark.parametrize("share, load, teaches", [(1.0, 1.0, True), (0.0, 1.0, False), (-1.0, 1.0, False), (1.0, 1.7, False)])

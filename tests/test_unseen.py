@@ -112,11 +112,13 @@ def simulated(*flight):
 
 
 # seed, frame, trajectory, wind m/s, rotor, onset s, loss: simulated flights in which wind hides the loss, so that no event names it
-HIDDEN = (
-    (3110, "hexa-x", "climb", 8.0, 3, 22.0, 0.15),
-    (3001, "y6-b", "figure-eight", 8.0, 4, 25.0, 0.30),
-    (2289, "hexa-x", "yaw", 5.5, 6, 23.0, 0.15),
-)
+HIDDEN = ((3110, "hexa-x", "climb", 8.0, 3, 22.0, 0.15), (3001, "y6-b", "figure-eight", 8.0, 4, 25.0, 0.30))
+
+
+def test_a_loss_that_wind_hides_at_first_is_found_by_the_motion_that_follows():
+    found = simulated(2289, "hexa-x", "yaw", 5.5, 6, 23.0, 0.15)
+    (event,) = found.events
+    assert event.rotors == (6,) and not event.alternatives and event.interval[0][0] < 0.15 < event.interval[0][1]
 
 
 @pytest.mark.parametrize("flight", HIDDEN, ids=lambda f: f"{f[1]}-{f[3]}")
@@ -363,7 +365,7 @@ def test_the_best_step_is_that_of_a_plain_search():
             A, y = B[:3, i] / spread, step / spread
             loss, own = A @ y / (A @ A), 1 / np.sqrt(A @ A)
             size, half = max(loss, 0.0), stats.t.ppf(0.975, N - 2) * own
-            curve = 0.08 * size * (1.0 - size) / (1.0 - size + 0.08 * size)  # a thrust curve that is off by 8 % in slope
+            curve = 0.12 * size * (1.0 - size) / (1.0 - size + 0.12 * size)  # a thrust curve that is off by 12 % in slope
             expected[i] = max(expected[i], size + 1.96 * np.hypot(half / 1.96, curve))
     np.testing.assert_allclose(losses(biases, table), np.minimum(expected, 1.0), rtol=1e-9)
 

@@ -41,6 +41,7 @@ register(
 SOURCE, HEARD = Source(SCAN, 3), Source("balance", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
+MARGIN_S = 1.0  # about an end: it is known no better, and rotors may recover in some tenths of a second
 LANDED_S = 1.0  # of the log after a landing
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 COMPARED = "compared"  # in View.facts: all comparisons of the flight
@@ -94,8 +95,9 @@ def beside(n: int, claim: tuple[int, ...], end_s: float, them: Sequence[Rival], 
     each other rotor of n: what else moves a vehicle has more freedom than its model, of which any rotor's loss takes a part."""
     likely = sorted((k for k, r in enumerate(them) if r in ELSE), key=lambda k: -logs[k])[:COMPANIONS]
     odd = them[max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])]
-    every = [claim, *((i,) for i in range(n) if (i,) != claim)]
-    own = [Rival("loss", them[k].how._replace(rotors=who, end_s=end_s), them[k].name) for who in every for k in likely]
+    own = [Rival("loss", them[k].how._replace(rotors=claim, end_s=end_s), them[k].name) for k in likely]
+    # Theirs last: an end would open the trim once more, as no disturbance alone does.
+    own += [Rival("loss", them[k].how._replace(rotors=(i,)), them[k].name) for i in range(n) if (i,) != claim for k in likely]
     same = {name: getattr(odd.how, name) for name in ("rotors", "end_s", "late", "turned")}
     return [*own, *(Rival(odd.name, them[k].how._replace(**same), them[k].name) for k in likely)]
 
@@ -169,7 +171,8 @@ def _missing(view: View, events: Sequence[Event], but: Sequence[int] = (), lag_s
 
 def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     """The event; without an end where the motion after it has more evidence with the loss than without. The loss takes thrust with ANSWER_S
-    of lag: a controller answers gusts by quick commands, which any loss would seem to explain in part."""
+    of lag: a controller answers gusts by quick commands, which any loss would seem to explain in part. What is
+    within MARGIN_S of the end does not count: it would be taken for a change of the trim."""
     if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.table is None:
         return event
     rest, logs = [e for e in events if e is not event], []
@@ -178,6 +181,8 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
         where = span(view.table, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
         if (len(where.ticks.time) - where.onset) * view.table.dt < SHORTEST_S:
             return event
+        near = abs(where.ticks.command_time - event.end_s) < MARGIN_S
+        where = replace(where, ticks=replace(where.ticks, valid=where.ticks.valid & ~near[:, None]))
         logs.append(compare(where, [Explanation()])[0].log_p)
     return event if logs[0] >= logs[1] else replace(event, end_s=None)
 

@@ -39,7 +39,7 @@ from rotorwatch.engine.intake.ticks import JUDGE
 # Share by which the slope of the thrust curve in hover may differ from the logged one: an error of 0.18 in an expo of 0.65, as a setting
 # that was never measured has.
 CURVE_SHARE = 0.12
-COAXIAL_SHARE = 0.1  # the same with the division of thrust in a coaxial arm: half of the error of the lower rotors' share
+COAXIAL_SHARE = 0.135  # the same with the division of thrust in a coaxial arm: half of the error of the lower rotors' share
 PAIR_WEIGHT = 1e-4  # prior weight of a pair relative to a single rotor
 YOUNG_S = 1.0  # time after an announcement within which a pair mistaken for one rotor becomes distinguishable from it
 WITHIN_95 = 1.96  # standard deviations of a 95 % interval
