@@ -209,7 +209,7 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
             lambda e, g: f"{g['least_q']:.3f}, {g['ellipsoid_healthy']:.2f} and {g['ellipsoid']:.2f}, empty {g['restarts']:.2g} times"
         ),
         "accuracy": told(lambda e, g: f"{e['error']:.3f} and {g['error']:.3f}"),
-        "alike": "; ".join(f"{label} {100 * share:+.1f} %" for label, share in apart.items()),
+        "alike": "; ".join(f"{label} {round(100 * share, 1) + 0.0:+.1f} %" for label, share in apart.items()),
         "centre": told(lambda e, g: f"{e['off_centre']:.2f} and {g['off_centre']:.2f}"),
         "ratios": {name: value / cost["aekf/no_restart"] for name, value in cost.items()},
     }
