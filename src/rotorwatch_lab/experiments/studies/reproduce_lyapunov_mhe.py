@@ -317,7 +317,7 @@ def claims(n: dict) -> tuple[Claim, ...]:
         "sensitivity": graded(n["sensitivity_faintest"] > LARGER, min(n["sensitivity_best"]) > LARGER),
         "horizon": graded(worse == 0 and 2 * better > cases, better > worse),
         "comparable": graded(moving < 1.2 * mean["mhe"], True),
-        "easy": graded(shorter and fewer and cost["mhe"] > 3 * cost["proximal_flush"], shorter or fewer),
+        "easy": graded(shorter and fewer, cost["mhe"] > 3 * cost["proximal_flush"]),
         "above_one": graded(mean["proximal_flush"] <= capped, True),
     }
     main = reproduction.claims(
