@@ -190,7 +190,7 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
                 safe and g["half_width_healthy"] < KNOWN and g["least_q"] >= bound, safe and g["half_width_healthy"] < KNOWN
             )
         ),
-        "accuracy": sets(lambda e, g, _: graded(g["error"] < NARROWER * e["error"])),
+        "accuracy": sets(lambda e, g, _: graded(_tells(e) and _tells(g) and g["error"] < NARROWER * e["error"])),
         "centre": sets(lambda e, g, _: graded(e["off_centre"] > 1.5 * g["off_centre"])),
         "cheapest": {label: graded(cheapest < min(cost[f"{name}/{form}"] for name in SETS)) for label, form in timed.items()},
         "best_cost": {label: "refuted" if cost[f"aesmf/{form}"] > cheapest else graded(True) for label, form in timed.items()},
@@ -208,7 +208,7 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
         "stable": told(
             lambda e, g: f"{g['least_q']:.3f}, {g['ellipsoid_healthy']:.2f} and {g['ellipsoid']:.2f}, empty {g['restarts']:.2g} times"
         ),
-        "accuracy": told(lambda e, g: f"{e['error']:.3f} and {g['error']:.3f}"),
+        "accuracy": told(lambda e, g: f"{e['error']:.3f} and {g['error']:.3f}" if _tells(e) and _tells(g) else "wider than the prior"),
         "alike": "; ".join(f"{label} {round(100 * share, 1) + 0.0:+.1f} %" for label, share in apart.items()),
         "centre": told(lambda e, g: f"{e['off_centre']:.2f} and {g['off_centre']:.2f}"),
         "ratios": {name: value / cost["aekf/no_restart"] for name, value in cost.items()},
