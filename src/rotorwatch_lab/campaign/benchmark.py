@@ -31,7 +31,7 @@ from rotorwatch_lab.campaign.score import COLUMNS
 from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.studies import compare, compare_flights
 from rotorwatch_lab.published import published
-from rotorwatch_lab.simulation import logbook
+from rotorwatch_lab.simulation import logbook, truth
 from rotorwatch_lab.simulation.scenario import brief
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
@@ -177,8 +177,8 @@ def run(
 def export(
     plan: str | os.PathLike | Benchmark, folder: str | os.PathLike, progress: Callable[[float, str], Any] | None = None
 ) -> list[Path]:
-    """Write a benchmark's flights for methods of other programs, and return the files: each log with its truth (as `rotorwatch simulate`
-    writes it), plan.toml, and SHA256SUMS of them all. folder: a new or empty one. progress(share, text). Raises ConfigError."""
+    """Write a benchmark's flights for methods of other programs, and return the files: each log with its losses over time
+    (.truth.csv, as `rotorwatch compare --truth` reads them), plan.toml, and SHA256SUMS of them all. folder: a new or empty one. progress(share, text). Raises ConfigError."""
     benchmark, place = plan if isinstance(plan, Benchmark) else read(plan), Path(folder)
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise ConfigError(f"{folder} holds something already; give a new folder.")
@@ -191,9 +191,13 @@ def export(
             stem = place / f"{number:05d}"
             log = stem.with_suffix(suffixes[scenario.autopilot])
             logbook.write(scenario, flown, record, log)
-            written += [log, *logbook.write_truth(scenario, flown, record, stem)]
+            table = stem.with_suffix(".truth.csv")
+            stride = max(1, round(1.0 / truth.HZ / float(record.time[1] - record.time[0])))
+            names = ["time_s", *(f"loss_{k + 1}" for k in range(record.theta.shape[1]))]
+            truth.write_csv(table, names, np.column_stack([record.time, record.theta])[::stride])
+            written += [log, table]
             if progress:
-                progress((len(written) - 1) / (3 * benchmark.flights), log.name)
+                progress((len(written) - 1) / (2 * benchmark.flights), log.name)
     written.sort()
     sums = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in written]
     (place / "SHA256SUMS").write_text("".join(sums), encoding="utf-8")

@@ -108,7 +108,8 @@ def paired(first: Sequence[float], other: Sequence[float]) -> float | None:
     if len(first) != len(other) or len(first) < LEAST_BLOCKS:
         return None
     difference = np.subtract(other, first)
-    return float(wilcoxon(difference).pvalue) if difference.any() else 1.0
+    tested: Any = wilcoxon(difference) if difference.any() else None
+    return float(tested.pvalue) if tested else 1.0
 
 
 def _ordered(rows: dict[str, dict[str, Any]]) -> list[str]:
