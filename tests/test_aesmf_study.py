@@ -122,7 +122,7 @@ def numbers(**changed):
     """What the study might measure: sets by form, Kalman filters by restart, cost by run. changed: (form, filter) -> other values."""
     one = {
         "containment": 1.0, "containment_worst_seed": 1.0, "ellipsoid": 1.0, "ellipsoid_healthy": 1.0, "off_centre": 0.2,
-        "least_q": 0.5, "half_width": 0.4, "half_width_healthy": 0.1, "restarts": 0.0, "outgrown_s": np.inf,
+        "least_q": 0.5, "error": 0.1, "half_width": 0.4, "half_width_healthy": 0.1, "restarts": 0.0, "outgrown_s": np.inf,
     }  # fmt: skip
     gd = one | {"half_width": 0.1, "half_width_healthy": 0.05}
     forms = {form: {"esmf": dict(one), "aesmf": dict(gd)} for form in ruav_filters.FORMS}
@@ -133,7 +133,11 @@ def numbers(**changed):
     flat = {"aesmf_floor": 0.2, "ekf": 0.02}
     found = {
         "forms": forms,
-        "kalman": {how: {name: {"containment": 0.8} for name in ruav_filters.KALMAN} for how in study.RESTARTS},
+        "kalman": {
+            how: {name: {"containment": 0.8, "half_width": 0.01, "error": 0.01} for name in (*ruav_filters.KALMAN, "ekf")}
+            for how in study.RESTARTS
+        },
+        "ekf_true_q": {"containment": 0.9},
         "microseconds_per_step": cost | changed.pop("cost", {}),
         "adversarial_escapes": changed.pop("escapes", 0),
         **{key: flat for key in ("half_width", "ellipsoid", "ellipsoid_healthy")},
@@ -178,7 +182,8 @@ def test_each_claim_is_judged_for_each_form():
     assert forms["stable"] == ["not reproduced", "not reproduced", "holds", "holds"]
     assert forms["centre"] == ["not reproduced"] * 4 and forms["kalman"] == ["holds"] * 4
     assert forms["cheapest"] == ["holds"] * 2 and forms["best_cost"] == ["refuted"] * 2
-    assert whole == ["partly", "partly", "holds", "partly", "not reproduced", "holds", "holds", "refuted"]
+    assert forms["alike"] == ["holds"] * 2 and forms["accuracy"] == ["not reproduced"] * 4
+    assert whole == ["partly", "partly", "holds", "partly", "holds", "not reproduced", "not reproduced", "holds", "holds", "refuted"]
 
 
 def test_verdicts_follow_from_the_numbers():
@@ -188,11 +193,17 @@ def test_verdicts_follow_from_the_numbers():
     assert verdicts(own_no_restart={"half_width": 1.3})[0]["tightest"][2] == "partly"
     assert verdicts(own={"least_q": 0.05})[0]["stable"][3] == "partly"
     assert verdicts(escapes=1)[0]["stable"] == ["not reproduced"] * 4
+    sharper = numbers()
+    sharper["forms"]["own"]["aesmf"]["error"] = 0.05
+    sharper["kalman"]["restart"]["aukf"]["half_width"] = 0.012
+    claims, forms = study._claims(sharper)
+    assert [list(forms[name].values())[-1] for name in ("accuracy", "alike")] == ["holds", "not reproduced"]
+    assert [claim.verdict for claim in claims[4:6]] == ["partly", "partly"]
     cheap = {"aesmf/printed": 5.0, "esmf/printed": 5.0}
     assert verdicts(cost=cheap)[0]["best_cost"] == ["holds", "refuted"]
     assert verdicts(cost=cheap)[0]["cheapest"] == ["not reproduced", "holds"]
-    assert verdicts(cost={"aekf/no_restart": 20.0})[1][6] == "partly"
-    assert verdicts(cost={"aekf/no_restart": 40.0})[1][6] == "not reproduced"
+    assert verdicts(cost={"aekf/no_restart": 20.0})[1][8] == "partly"
+    assert verdicts(cost={"aekf/no_restart": 40.0})[1][8] == "not reproduced"
 
 
 def test_unknown_literal_readings_are_refused():

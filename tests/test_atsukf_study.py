@@ -105,8 +105,8 @@ def test_noise_reverses_the_ranking_and_the_gate_restores_it(result):
 @pytest.mark.thorough
 def test_claims_and_their_verdicts(result):
     verdicts = [claim.verdict for claim in result.claims]
-    assert verdicts[:5] == ["holds", "not reproduced", "not reproduced", "partly", "holds"]
-    assert verdicts[7:9] == ["not reproduced", "holds"]
+    assert verdicts[:5] == ["holds", "partly", "not reproduced", "partly", "holds"]
+    assert verdicts[7:] == ["partly", "holds", "partly", "holds", "not reproduced", "not reproduced"]
     assert reproduction.study("atsukf") is study
     assert result.to_json()
 
@@ -141,4 +141,27 @@ def test_attitude_alone_hides_what_makes_no_torque(result):
     for scenario in ("scenario_1", "scenario_2"):
         scale = (1.0 - np.array(alone[scenario]["found"])) / (1.0 - np.array(alone[scenario]["true"]))
         assert np.ptp(scale) < 2e-3 and abs(scale[0] - 1.0) > 0.3
-    assert next(c for c in result.claims if c.claim.startswith("Only the commands")).verdict == "refuted"
+    assert next(c for c in result.claims if c.claim.startswith("Only the commands")).verdict == "partly"
+
+
+@pytest.mark.thorough
+def test_a_hexarotor_smears_a_loss_over_the_kernel(result):
+    """What is found differs from the truth by a combination of losses that makes neither thrust nor torque."""
+    found = result.figures["hexarotor"]
+    miss = np.subtract(found["found"], found["true"])
+    azimuth = np.pi * (2 * np.arange(6) + 1) / 6
+    B = np.stack([np.ones(6), np.cos(azimuth), np.sin(azimuth), 1.0 - 2.0 * (np.arange(6) % 2)])
+    assert np.abs(miss).max() > 0.1 and found["off"] == pytest.approx(np.abs(miss).max())
+    u_share = np.linalg.norm(B @ miss) / np.linalg.norm(miss)
+    assert u_share < 0.6  # commands are not equal after the loss: nearly, not exactly, in the kernel of B
+
+
+@pytest.mark.thorough
+def test_verdicts_follow_from_the_numbers(result):
+    def verdict(start, **changed):
+        return next(c.verdict for c in study.claims({**result.figures, **changed}) if c.claim.startswith(start))
+
+    told = result.figures["rmse_told"]
+    assert verdict("Matched walk (Q1), four", rmse_told={**told, "atsukf_q1": told["tsukf_q1"]}) == "not reproduced"
+    assert verdict("The adaptive filter is robust", rmse_told={**told, "atsukf_q2": told["tsukf_q2"]}) == "not reproduced"
+    assert verdict("It is applicable to other", hexarotor={**result.figures["hexarotor"], "off": 0.01}) == "holds"

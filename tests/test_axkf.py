@@ -281,6 +281,15 @@ def test_on_rate_dynamics_a_weak_rotor_is_found(method):
     assert (np.diff(np.trace(out.theta_cov[699:710], axis1=1, axis2=2)) > 0).all()
 
 
+def test_a_memory_lasts_some_samples_where_losses_outnumber_measurements():
+    """Six losses and four measurements at 20 Hz: 20 samples. Enough measurements, fast steps, or no forgetting: as given."""
+    assert AXKF(hexa(), 0.05).memory_s == pytest.approx(20 * 0.05) and AKF(hexa(), 0.05, memory_s=3.0).memory_s == 3.0
+    assert AXKF(hexa(), 1e-3).memory_s == AKF(Linear(), 0.05).memory_s == adaptive_kalman.MEMORY_S
+    assert AXKF(hexa(), 0.05, memory_s=None).memory_s == np.inf
+    inside = jax.jit(lambda seconds: AKF(hexa(), 0.05, memory_s=seconds).memory_s)
+    assert inside(0.1) == 1.0 and inside(2.5) == 2.5
+
+
 @pytest.mark.parametrize("method", (EKF, AXKF), ids=lambda m: m.name)
 def test_plants_may_be_built_inside_a_compiled_program(method):
     plant = hexa()

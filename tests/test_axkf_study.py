@@ -100,6 +100,20 @@ def test_what_a_step_tells_of_the_losses_is_the_textbooks():
 
 
 @pytest.mark.thorough
+def test_the_second_weak_motor_turns_as_the_printed_inputs_say(figures):
+    """B diag(u) (1 - theta) by hand: 0.55 m, 0.01 N, b = 0.1."""
+    one, both = figures["turning_torques"].values()
+    np.testing.assert_allclose(one, [0.55 * 0.01 * 0.124, 0.0, 0.1 * 0.01 * 0.124], atol=2e-5)
+    np.testing.assert_allclose([both[0], both[2]], [3.1e-4, 2.59e-4], atol=2e-5)
+
+
+def test_a_momentum_that_nothing_corrects_keeps_its_error():
+    """An observer that does not correct it, against one that does."""
+    plant = PortHamiltonianAttitude.of(airframes.paper("rot-hexa"))
+    np.testing.assert_allclose(study._kept(plant), 1.0, atol=1e-6)
+
+
+@pytest.mark.thorough
 def test_theorem_and_wrong_starts(figures):
     assert figures["lmi_paper_max_eig"] == pytest.approx(1.47, abs=0.01)
     assert figures["lmi_best_eig_A_identity"] > 0 > figures["lmi_best_eig_A_kinematics"]
@@ -111,9 +125,9 @@ def test_theorem_and_wrong_starts(figures):
 @pytest.mark.thorough
 def test_claims_say_what_holds(result):
     verdicts = [claim.verdict for claim in result.claims]
-    assert len(verdicts) == 14 and set(verdicts) == {"holds", "partly", "not reproduced"}
-    theorem = next(claim for claim in result.claims if "Theorem 1" in claim.claim)
-    assert theorem.verdict == "not reproduced" and "+1.474" in theorem.measured
+    assert len(verdicts) == 17 and set(verdicts) == {"holds", "partly", "not reproduced", "refuted"}
+    theorem = next(claim for claim in result.claims if "Theorem 1 is" in claim.claim)
+    assert theorem.verdict == "refuted" and "6 of 18" in theorem.measured and "+1.474" in theorem.measured and "+0.0274" in theorem.measured
 
 
 @pytest.mark.thorough
@@ -130,6 +144,9 @@ def test_claims_say_what_holds(result):
         ("persistently exciting", "partly", {"excitation_six": 1.0}, "holds"),
         ("persistently exciting", "partly", {"excitation_two": 0.0}, "not reproduced"),
         ("body torques as the input", "partly", {"virtual_multiplicative_final": 0.1}, "holds"),
+        ("Theorem 1 is", "refuted", {"lmi_paper_max_eig": -0.1}, "holds"),
+        ("any real epsilon", "refuted", {"lmi_negative_epsilon": 0.1}, "holds"),
+        ("guaranteed to converge", "refuted", {"kept_of_start": 0.1}, "holds"),
         ("body torques as the input", "partly", {"virtual_additive_error": 1.0}, "not reproduced"),
     ],
 )
@@ -137,7 +154,7 @@ def test_verdicts_follow_from_the_figures(result, claim, now, other, then):
     """Each of them turns when its figure does. Errors of momenta are given as shares of these."""
     scaled = {k: v * np.abs(result.figures["p_final"]) if "p_error" in k else v * np.ones(3) for k, v in other.items()}
     given = {k: v[:2] if k.startswith("noise") else v if "p_error" in k or k.endswith("final") else v[0] for k, v in scaled.items()}
-    given = {k: float(v[0]) if k == "s11_final" else v for k, v in given.items()}
+    given = {k: float(v[0]) if k == "s11_final" else np.ones(3) * v if k == "kept_of_start" else v for k, v in given.items()}
     given = {k: (v, 1.0) if k.startswith("excitation") else v for k, v in given.items()}
 
     def verdict(figures):

@@ -1,6 +1,7 @@
 """The benchmark: fixed plans, thresholds set on healthy time, results files that hold together, rankings, public data by path."""
 
 import copy
+import hashlib
 import json
 import os
 import shutil
@@ -50,6 +51,24 @@ strength = 0.3
 def test_a_plan_that_was_published_stays_as_it_is():
     """Whoever changes one gives it a new version, and adds that here: results of the old one are not comparable."""
     assert {(n, (b := benchmark.read(n)).version): b.sha256 for n in benchmark.shipped()} == FIXED
+
+
+def test_flights_can_be_taken_away(tmp_path):
+    """Every flight of the plan with what is true of it, under hashes; the log is the one that is judged."""
+    plan = benchmark_plan.parsed(SMALL.replace("flights = 4", "flights = 2"), "small")
+    written = benchmark.export(plan, tmp_path / "flights")
+    names = [f"{number}{ending}" for number in ("00000", "00001") for ending in (".bin", ".truth.csv")]
+    assert [path.name for path in written] == [*names, "plan.toml", "SHA256SUMS"]
+    lines = dict(line.split("  ")[::-1] for line in written[-1].read_text().splitlines())
+    assert lines == {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in written[:-1]}
+    assert benchmark_plan.parsed((tmp_path / "flights" / "plan.toml").read_text(), "small").sha256 == plan.sha256
+    flights = batch.simulated(plan.plan, range(2), batch.width())
+    for (number, scenario, flown, record), log in zip(flights, (written[0], written[2]), strict=True):
+        assert log.read_bytes() == batch.logbook.log(scenario, flown, record), number
+    with pytest.raises(ConfigError, match="give a new folder"):
+        benchmark.export(plan, tmp_path / "flights")
+    done = CliRunner().invoke(cli.cli, ["benchmark", "quick", "--export", str(tmp_path / "x"), "--methods", "ekf"])
+    assert done.exit_code == 2 and "--export takes a plan alone" in done.stderr
 
 
 @pytest.mark.parametrize(

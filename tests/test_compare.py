@@ -15,6 +15,7 @@ from rotorwatch.engine.bindings import program
 from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
+from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.studies import compare as study
 from rotorwatch_lab.experiments.studies import compare_flights
 from rotorwatch_lab.published import published
@@ -99,6 +100,51 @@ def test_what_counts(quads, judged):
     assert judged([event((1,), 15.0)], which=quads[0])["false_alarms"] == 1
 
 
+def test_errors_are_compared_block_by_block(quads, judged):
+    """The seconds before an onset and the settled ones after it, in blocks; a constant error of one rotor of four is a quarter of it."""
+    ((_, onset, _),) = quads[1].faults
+    exact, late = judged([])["blocks"], judged([], theta=0.3)["blocks"]
+    assert len(exact) == len(late) >= 4 and onset + study.SETTLED_S < quads[1].ticks.time[-1]
+    assert exact[-1] == pytest.approx(0.0, abs=1e-12) and late[-1] == pytest.approx(0.025)
+    assert exact[0] == pytest.approx(0.1)  # 0.4 is shown from the start
+
+
+def test_the_paired_test_is_wilcoxons():
+    rng = np.random.default_rng(0)
+    first = rng.uniform(0.0, 0.1, 30)
+    assert study.paired(first, 1.1 * first) == pytest.approx(2.0**-29)
+    chance = [study.paired(first, first + 0.01 * rng.standard_normal(30)) for _ in range(200)]
+    assert 0.01 <= np.mean(np.array(chance, float) < 0.05) <= 0.1
+    assert study.paired(first, first) == 1.0 and study.paired(first[:5], first[:5] + 1) is None is study.paired(first, first[:9])
+
+
+def test_the_better_one_is_first_and_the_others_have_a_p(quads):
+    def row(rmse):
+        return study._row([{"judged_s": 60.0, "fault": True, "false_alarms": 0, "square": rmse**2}])
+
+    group, errors = quads[0].group, np.linspace(0.01, 0.02, 12)
+    found = [
+        study.Compared(name, {group: row(rmse)}, 1.0, "", {group: list(errors * rmse)}) for name, rmse in (("plain", 0.2), ("mine_1", 0.1))
+    ]
+    result = study.gathered(quads, found)
+    p = {name: one["p"] for name, one in result["groups"][group].items()}
+    assert p["mine_1"] is None and p["plain"] < 0.001 and "| `plain` | 0.200 | < 0.001 |" in study.markdown(result)
+    text = study.markdown(result, tools.latex)
+    assert "\\texttt{mine\\_1} & 0.100 & - &" in text and text.count("\\\\\n") == 3 and "\\begin{tabular}{lrrrrrrrr}" in text
+    assert all(line.startswith("%") for line in text.splitlines() if "flights" in line or "Simulated" in line)
+
+
+def test_losses_over_time_are_the_truth_of_a_single_log(tmp_path):
+    sample = next(iter(sorted(cli.SAMPLES.glob("hexax_m3*.bin.xz"))))
+    truth = tmp_path / "hexa.truth.csv"
+    truth.write_text("time_s,loss_1,loss_3\n0,0,0\n40,0,0\n47.6,0,0.368\n90,0,0.368\n")
+    (scene,) = compare_flights.with_truth([sample], truth)
+    assert scene.faults == ((3, 47.6, 0.368),)
+    truth.write_text("time_s,loss_3\n0,0\n40,0.1\n47.6,0.368\n")
+    with pytest.raises(ConfigError, match="loss_3 changes on the way"):
+        compare_flights.with_truth([sample], truth)
+
+
 def test_rows_add_up():
     hour = {"judged_s": 1800.0}
     trials = [
@@ -167,6 +213,8 @@ def test_the_command(monkeypatch):
     monkeypatch.setattr(study, "each", lambda scenes, names: iter([study.Compared(name, {}, 1.0) for name in names]))
     done = CliRunner().invoke(cli.cli, ["compare", "--json", "--estimators", "ekf, ukf"])
     assert done.exit_code == 0 and json.loads(done.stdout)["us_per_step"] == {"ekf": 1.0, "ukf": 1.0}
+    done = CliRunner().invoke(cli.cli, ["compare", "--json", "--method", "ekf"])
+    assert list(json.loads(done.stdout)["us_per_step"]) == ["default", *study.PAPERS, "ekf"]
 
 
 def test_diagnose_by_name_says_what_it_assumes():

@@ -19,6 +19,7 @@ from rotorwatch.errors import ConfigError, LogError
 from rotorwatch.flight.method_series import INTERVAL, SET, MethodSeries
 from rotorwatch.logs import log_memory
 from rotorwatch.report import method_plots
+from rotorwatch_lab.commands import estimate as command
 from rotorwatch_lab.compiling.run import run
 from rotorwatch_lab.estimate import Estimates, read_truth, steps
 from rotorwatch_lab.published import helicopter_log, log_plant, own, paper_log, published
@@ -48,6 +49,15 @@ def made(n=4, says=INTERVAL, steps=40):
         "some", "rate_dynamics", says, 0.1 * np.arange(steps), np.ones(steps, int), theta, spread, blank, blank + 1, blank, blank + 1,
         np.zeros(steps, int), names, ("p", "q", "r"), ("rad/s",) * 3, ("p", "q", "r"), ("rad/s",) * 3, 0.1,
     )  # fmt: skip
+
+
+def test_what_is_printed_is_a_median_and_ends_before_the_landing():
+    """A single wild step and a wild last half second leave the printed lines as they are."""
+    calm, wild = made(steps=100), made(steps=100)
+    wild.theta[50, 0] = wild.theta[-5:, 2] = 9.0
+    texts = [command._of(Estimates("log", (one,)), one) for one in (calm, wild)]
+    assert texts[0] == texts[1] and "Medians over 1 s:" in texts[0] and "9.9 s" in texts[0].splitlines()[0]
+    assert [line.split()[0] for line in texts[0].splitlines()[3:]] == ["0.0", "1.7", "3.5", "5.3", "7.1", "8.9"]
 
 
 def test_series_are_those_of_the_estimator_run_by_hand(found):

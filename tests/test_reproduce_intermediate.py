@@ -7,6 +7,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch_lab.experiments.studies import error_bound, hover_flights
+from rotorwatch_lab.experiments.studies import intermediate_as_printed as printed
 from rotorwatch_lab.experiments.studies import reproduce_intermediate as study
 from rotorwatch_lab.maths import intermediate_design as design
 from rotorwatch_lab.systems.linear_hover import LinearHover
@@ -74,7 +75,7 @@ def test_more_than_four_rotors(result):
 def test_it_can_be_written_down_and_drawn(result):
     assert set(json.loads(result.to_json())["figures"]) >= {"scenario_1", "scenario_4", "beyond_four", "lmi_paper_feasible"}
     drawn = study.figures(result)
-    names = ("losses", "channels", "position", "bound", "wrong-models")
+    names = ("losses", "channels", "position", "pwm", "bound", "wrong-models")
     assert set(drawn) == {f"intermediate-{name}" for name in names}
     assert len(drawn["intermediate-channels"].axes) == 16 and len(drawn["intermediate-position"].axes) == 12
     assert all(len(axes.lines) > 0 for figure in drawn.values() for axes in figure.axes)
@@ -186,6 +187,18 @@ def test_pwm_rises_on_the_weak_motors_alone(result):
     given = json.loads(result.to_json())["figures"]["position"]
     given["scenario_4"]["counts_after"][0][1] = 500.0
     assert study._pwm_claim(given).verdict == "partly"
+
+
+def test_equations_1_and_6_as_printed():
+    """Against a rotation by SciPy, and by the sizes mended."""
+    from scipy.spatial.transform import Rotation
+
+    angles = 0.2, -0.3, 0.7
+    wanted = Rotation.from_euler("ZYX", angles[::-1]).as_matrix()
+    np.testing.assert_allclose(printed.rotation(*angles, mended=True), wanted, atol=1e-12)
+    assert printed.off_rotation(False) > 0.1 > 1e-12 > printed.off_rotation(True)
+    assert printed.misfits() == ["A has 8 columns for the 6 of x", "N xi has 4 rows, dx/dt 8"]
+    assert not printed.misfits(printed.SIZES | {"x": (8, 1), "N": (8, 4)})
 
 
 def test_holding_a_position_is_the_hovering_flight_for_angles_and_height():

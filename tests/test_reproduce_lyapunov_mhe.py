@@ -1,5 +1,7 @@
 """How the moving-horizon study compares: over seeds, with intervals, flight by flight."""
 
+import inspect
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -64,7 +66,9 @@ def numbers(better, worse):
         "rmse": rmse, "rmse_disturbed": rmse, "rmse_capped": {f: dict.fromkeys(study.PATHS, 0.04) for f in study.FAULTS},
         "moving_horizon": {"calm": {"better": better, "worse": worse, "cases": 12}, "disturbed": {"better": 0, "worse": 0, "cases": 0}},
         "microseconds_per_step": dict.fromkeys(study.ESTIMATORS, 1.0), "qobs_rank_flight": 9, "qobs_rank_hover": 6, "qobs_gap": 9.0,
-        "sensitivity_ratio": [200.0] * 3, "sensitivity_ratio_thrust": 200.0, "mhe_vs_nlp": 1e-8,
+        "sensitivity_ratio": [200.0] * 3, "sensitivity_ratio_thrust": 200.0, "mhe_vs_nlp": 1e-8, "qobs_gap_unscaled": 1.0,
+        "qobs_longest_T0": 0.06, "sensitivity_best": [60.0] * 3, "sensitivity_below": [2] * 3, "sensitivity_faintest": 1.0,
+        "effort": {name: {"lines": 50 + 10 * k, "parameters": 5} for k, name in enumerate(study.WRITTEN)},
     }  # fmt: skip
 
 
@@ -72,6 +76,42 @@ def numbers(better, worse):
 def test_the_verdict_on_the_moving_horizon_follows_from_the_cases(better, worse, verdict):
     claim = next(c for c in study.claims(numbers(better, worse)) if c.claim.startswith("The moving horizon makes"))
     assert claim.verdict == verdict and f"clearly better in {better}, worse in {worse} of 12" in claim.measured
+
+
+LONGER = {name: {"lines": 70 - 10 * k, "parameters": 9 - k} for k, name in enumerate(study.WRITTEN)}
+
+
+@pytest.mark.parametrize(
+    "start, change, verdict",
+    [
+        ("Two of its", {}, "partly"),
+        ("Two of its", {"qobs_gap_unscaled": 6.0}, "holds"),
+        ("Two of its", {"qobs_gap": 4.0}, "not reproduced"),
+        ("Sensitivity off", {}, "partly"),
+        ("Sensitivity off", {"sensitivity_faintest": 12.0}, "holds"),
+        ("Sensitivity off", {"sensitivity_best": [9.0] * 3}, "not reproduced"),
+        ("It is easy", {}, "holds"),
+        ("It is easy", {"effort": LONGER}, "not reproduced"),
+        ("It is easy", {"effort": LONGER, "microseconds_per_step": {**dict.fromkeys(study.ESTIMATORS, 1.0), "mhe": 9.0}}, "partly"),
+    ],
+)
+def test_verdicts_follow_from_the_numbers(start, change, verdict):
+    assert next(c for c in study.claims(numbers(9, 0) | change) if c.claim.startswith(start)).verdict == verdict
+
+
+def test_lines_are_counted_without_what_explains_them():
+    found = {name: study.effort(*row) for name, row in study.WRITTEN.items()}
+    longest = {name: sum(len(inspect.getsource(m).splitlines()) for m in modules) for name, (_, modules) in study.WRITTEN.items()}
+    assert all(0.3 * longest[name] < row["lines"] < longest[name] for name, row in found.items())
+    assert all(row["parameters"] >= 5 for row in found.values())
+
+
+@pytest.mark.thorough
+def test_unscaled_derivatives_hide_the_two_small_values():
+    system = study.RateDynamics.of(study.airframes.paper("niermeyer-hexa"))
+    scaled, plain = study.observable(system), study.observable(system, scaled=False)
+    assert plain["gap"] == plain["gap_unscaled"] == scaled["gap_unscaled"] < 1.1 < 5 < scaled["gap"]
+    assert scaled["longest"] == pytest.approx(0.06) and scaled["below"][:2] == [2, 2] and scaled["faintest"] < 1.1
 
 
 @pytest.mark.thorough

@@ -32,7 +32,7 @@ def test_the_pages_method_can_enter_the_benchmark(tmp_path, monkeypatch):
 
     blocks = re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
     (own,) = [block for block in blocks if "class SlowObserver" in block]
-    (tmp_path / "my_file.py").write_text("import jax.numpy as jnp\nimport rotorwatch as rw\n" + own)
+    (tmp_path / "my_file.py").write_text(own)
     monkeypatch.syspath_prepend(str(tmp_path))
     (method,) = benchmark.selected_methods(["my_file:SlowObserver"])
     assert method.name == "slow_observer" and benchmark.try_out(method) is None

@@ -8,6 +8,7 @@ Flights, judging, statistics and the folder of finished parts are the campaign's
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import platform
@@ -27,12 +28,14 @@ from rotorwatch_lab.campaign import batch, public_data, results_file, summary, w
 from rotorwatch_lab.campaign.benchmark_plan import Benchmark, digest, read, shipped
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.campaign.score import COLUMNS
+from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.studies import compare, compare_flights
 from rotorwatch_lab.published import published
+from rotorwatch_lab.simulation import logbook, truth
 from rotorwatch_lab.simulation.scenario import brief
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
-__all__ = ["Benchmark", "known_methods", "parts_of", "read", "run", "selected_methods", "shipped", "try_out"]
+__all__ = ["Benchmark", "export", "known_methods", "parts_of", "read", "run", "selected_methods", "shipped", "try_out"]
 REPEATS = 7  # of the table that a step is timed over
 
 
@@ -169,6 +172,36 @@ def run(
     }  # fmt: skip
     results_file.write(results, out)
     return results
+
+
+def export(
+    plan: str | os.PathLike | Benchmark, folder: str | os.PathLike, progress: Callable[[float, str], Any] | None = None
+) -> list[Path]:
+    """Write a benchmark's flights for methods of other programs, and return the files: each log with its losses over time
+    (.truth.csv, as `rotorwatch compare --truth` reads them), plan.toml, and SHA256SUMS of them all. folder: a new or empty one. progress(share, text). Raises ConfigError."""
+    benchmark, place = plan if isinstance(plan, Benchmark) else read(plan), Path(folder)
+    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+        raise ConfigError(f"{folder} holds something already; give a new folder.")
+    place.mkdir(parents=True, exist_ok=True)
+    suffixes = {autopilot: suffix for suffix, autopilot in reversed(logbook.SUFFIXES.items())}
+    (place / "plan.toml").write_text(benchmark.text, encoding="utf-8")
+    written, width = [place / "plan.toml"], batch.width()
+    for numbers in tools.batches(benchmark.flights, len(benchmark.plan.cells), width):
+        for number, scenario, flown, record in batch.simulated(benchmark.plan, numbers, width):
+            stem = place / f"{number:05d}"
+            log = stem.with_suffix(suffixes[scenario.autopilot])
+            logbook.write(scenario, flown, record, log)
+            table = stem.with_suffix(".truth.csv")
+            stride = max(1, round(1.0 / truth.HZ / float(record.time[1] - record.time[0])))
+            names = ["time_s", *(f"loss_{k + 1}" for k in range(record.theta.shape[1]))]
+            truth.write_csv(table, names, np.column_stack([record.time, record.theta])[::stride])
+            written += [log, table]
+            if progress:
+                progress((len(written) - 1) / (2 * benchmark.flights), log.name)
+    written.sort()
+    sums = [f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n" for path in written]
+    (place / "SHA256SUMS").write_text("".join(sums), encoding="utf-8")
+    return [*written, place / "SHA256SUMS"]
 
 
 def parts_of(out: str | os.PathLike) -> Path:

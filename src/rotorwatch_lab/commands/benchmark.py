@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from rotorwatch.errors import ConfigError
-from rotorwatch.toolkit.commands import OUT, common, findable, say, show
+from rotorwatch.toolkit.commands import OUT, common, findable, progress, say, show
 from rotorwatch_lab.commands.campaign import flying
 
 
@@ -18,11 +18,12 @@ from rotorwatch_lab.commands.campaign import flying
 @click.option("--data", multiple=True, metavar="NAME=PATH", help="Also run them on a public data set in this folder; may be repeated.")
 @click.option("--jobs", type=click.IntRange(1, 256), help="Processes; default: one per processor.")
 @click.option("-o", "--out", type=OUT, metavar="FILE", help="Results to write (.json); with --rank the page (.html).")
+@click.option("--export", type=OUT, metavar="DIR", help="Write the flights of PLAN into this folder: logs, truth, plan and hashes.")
 @click.option("--rank", is_flag=True, help="Rank the methods of results FILEs of one plan.")
 @click.option("--list", "listing", is_flag=True, help="List plans, methods and data sets, and where they come from.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
-def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quiet) -> None:
+def benchmark(what, methods, more, data, jobs, out, export, rank, listing, as_json, quiet) -> None:
     """Run methods on the fixed flights of PLAN (quick or full, docs/benchmark.md): detections at a common false-alarm rate, delay, accuracy
     and cost, with 95 % intervals. The same command resumes an interrupted run. --rank compares results files.
 
@@ -30,6 +31,7 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
     rotorwatch benchmark quick --methods ekf,aukf -o mine.json
     rotorwatch benchmark quick --method my_module:MyEstimator -o own.json
     rotorwatch benchmark --rank mine.json own.json -o ranking.html
+    rotorwatch benchmark quick --export flights
     """
     import json
 
@@ -41,6 +43,10 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
         return _rank(what, out, as_json, quiet)
     if len(what) > 1:
         raise click.UsageError(f"One plan at a time, not {len(what)}; to compare results files write --rank.")
+    if export:
+        if methods or more or data or jobs or out or as_json:
+            raise click.UsageError("--export takes a plan alone.")
+        return _export(what[0] if what else "quick", export, quiet)
     if out is None:
         raise click.UsageError("No results file: give -o FILE.json.")
     from rotorwatch_lab.campaign import benchmark as benchmarks
@@ -72,6 +78,15 @@ def benchmark(what, methods, more, data, jobs, out, rank, listing, as_json, quie
         show(lambda _: ranking.table(ranked))
     if not quiet:
         say(f"results written to {out}")
+
+
+def _export(plan: str, folder: Path, quiet: bool) -> None:
+    from rotorwatch_lab.campaign import benchmark as benchmarks
+
+    with progress(quiet) as report:
+        written = benchmarks.export(plan, folder, report)
+    if not quiet:
+        say(f"{len(written)} files written to {folder}")
 
 
 def _rank(paths: tuple[str, ...], out: Path | None, as_json: bool, quiet: bool) -> None:

@@ -10,6 +10,8 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit.commands import JSON, LOG, OUT, common, findable, option, print_json, progress, say, vehicle_of
 
 TIMES = 6  # printed times
+AROUND_S = 0.5  # before and after each of them, of which medians are printed
+LANDING_S = 1.0  # at the end, where no method's plant holds: not printed
 HELICOPTER = "aesmf"  # the method for helicopters when none is named
 
 
@@ -72,18 +74,21 @@ def _texts(found: Any) -> list[str]:
 
 
 def _of(found: Any, series: Any) -> str:
-    """A method's estimates over time."""
-    first, last = float(series.time[0]), float(series.time[-1])
-    lines = [f"{series.title}: {len(series.time)} steps of {series.dt:g} s, {first:.1f} to {last:.1f} s. {series.whose}"]
+    """A method's estimates over time: medians around some times."""
+    import numpy as np
+
+    first, end = float(series.time[0]), float(series.time[-1])
+    last = max(first, end - LANDING_S)
+    lines = [f"{series.title}: {len(series.time)} steps of {series.dt:g} s, {first:.1f} to {end:.1f} s. {series.whose}"]
+    lines.append(f"Medians over {2 * AROUND_S:g} s:")
     times = (first + (last - first) * part / (TIMES - 1) for part in range(TIMES))
     rows = sorted({k for t in times if (k := series.at(t)) is not None})
     width = max(22, *(len(name) + 2 for name in series.theta_names))
     lines.append("  time".ljust(10) + "".join(name.replace("_", " ").ljust(width) for name in series.theta_names))
     for k in rows:
-        cells = (
-            f"{value:6.2f} ({low:.2f} to {high:.2f})".ljust(width)
-            for value, low, high in zip(series.theta[k], series.lower[k], series.upper[k])
-        )
+        near = (np.abs(series.time - series.time[k]) <= AROUND_S) & (series.hop == series.hop[k])
+        values, low, high = (np.median(part[near], axis=0) for part in (series.theta, series.lower, series.upper))
+        cells = (f"{v:6.2f} ({a:.2f} to {b:.2f})".ljust(width) for v, a, b in zip(values, low, high))
         lines.append(f"{series.time[k]:7.1f} s ".ljust(10) + "".join(cells).rstrip())
     for name, one in found.found.get(series.method, {}).items():
         verdict = "sound" if one["found_s"] is None else f"FAULTY, found at {one['found_s']:.2f} s"

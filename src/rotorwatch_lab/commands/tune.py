@@ -78,17 +78,23 @@ def tune(logs, estimator, out, rounds, papers, as_json, quiet) -> None:
 
 @click.command(short_help="Run all estimators on the same flights.")
 @click.argument("logs", nargs=-1, type=LOG, metavar="[LOG]...")
-@option("--truth", "Faults of the LOGs: path, faulty_rotors, thrust_loss, start_s.", type=LOG, metavar="FILE.csv")
+@option("--truth", "Faults of the LOGs: path, faulty_rotors, thrust_loss, start_s; or a single LOG's losses over time.", type=LOG,
+        metavar="FILE.csv")  # fmt: skip
 @option("--estimators", "Only these estimators.", metavar="NAME,NAME,...")
+@option("--method own", "Your own, against the default and the five papers' methods; may be repeated.", multiple=True,
+        metavar="FILE:CLASS")  # fmt: skip
 @option("--losses", "Losses to simulate and inject, 0..1.", "0.2,0.4", metavar="L,L,...")
-@option("--seeds", "Simulated flights of each kind.", 2, type=click.IntRange(0, 1000))
+@option("--seeds", "Simulated flights of each kind; default: 2, none with --truth.", type=click.IntRange(0, 1000))
+@option("--format form", "Of the tables.", "markdown", type=click.Choice(("markdown", "latex")))
 @JSON
 @common
-def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
-    """Run all estimators on simulated flights, on healthy LOGs with injected losses, and on LOGs with a table of their faults.
+def compare(logs, truth, estimators, own, losses, seeds, form, as_json, quiet) -> None:
+    """Rank all estimators, or your own against the papers', on simulated flights, on healthy LOGs with injected losses, and on LOGs whose
+    faults are known: error, delay, coverage, false alarms, and whether chance explains the differences.
 
     Each finished estimator is reported on standard error. Ctrl-C stops and prints the results so far.
     """
+    from rotorwatch_lab.experiments import tools
     from rotorwatch_lab.experiments.studies import compare as study
     from rotorwatch_lab.experiments.studies import compare_flights as flights
 
@@ -96,6 +102,9 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     if truth and not logs:
         raise ConfigError("--truth describes the faults of LOGs; give these as well.")
     names = [name.strip() for name in estimators.split(",") if name.strip()] if estimators else []
+    if own:
+        names = [*(names or ("default", *study.PAPERS)), *own]
+    seeds = seeds if seeds is not None else 0 if truth else 2
     findable(*names)
     names = study.known(names)
     if not quiet:
@@ -120,7 +129,7 @@ def compare(logs, truth, estimators, losses, seeds, as_json, quiet) -> None:
     if found:
         result = study.gathered(scenes, found)
         missing = names[len(found) :]
-        text = study.markdown(result).strip()
+        text = study.markdown(result, *([tools.latex] if form == "latex" else [])).strip()
         if missing:
             result["missing"] = missing
             text += f"\n\nInterrupted: {', '.join(missing)} did not run."

@@ -110,6 +110,22 @@ def table(heads: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     return "\n".join([first, "|" + "---|" * len(heads), *rest])
 
 
+def latex(heads: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
+    """A LaTeX tabular of texts; code marks of Markdown become typewriter."""
+
+    def cell(value: Any) -> str:
+        text = str(value)
+        code, text = text.startswith("`"), text.strip("`")
+        for sign in "\\&%#_$":
+            text = text.replace(sign, "\\textbackslash{}" if sign == "\\" else f"\\{sign}")
+        return f"\\texttt{{{text}}}" if code else text
+
+    lines = [" & ".join(map(cell, line)) + " \\\\" for line in (heads, *rows)]
+    return "\n".join(
+        [f"\\begin{{tabular}}{{l{'r' * (len(heads) - 1)}}}", "\\hline", lines[0], "\\hline", *lines[1:], "\\hline", "\\end{tabular}"]
+    )
+
+
 def side_by_side(title: str, columns: Mapping[str, Any], lines: Mapping[str, Callable[[Any], str]]) -> str:
     """A Markdown table of measures, a column for each of `columns`."""
     return table([title, *columns], ([name, *map(line, columns.values())] for name, line in lines.items())) + "\n"

@@ -11,7 +11,8 @@ Manoonpong (2020), Table 1; D, the direct feedthrough of theta to y, is added he
 of the state augmented by a constant theta (Friedland's separation); with lambda < 1 theta minimises the squared whitened
 innovations weighted by lambda^age.
 
-lambda = exp(-dt / memory_s): the memory is a time, and the same for any length of step. The sources give lambda for a step of 1 ms.
+lambda = exp(-dt / memory_s): the memory is a time, and the same for any length of step. The sources give lambda for a step of 1 ms. With
+more losses than measurements it lasts LEAST_SAMPLES steps at least.
 
 What is not excited is forgotten without bound: S grows as lambda^-k. Here S is kept below s_max: for what is forgotten the information
 1 / s_max comes back, S^-1 becomes lambda S^-1 + (1 - lambda) / s_max I, which leaves what is well measured as it was (exponential
@@ -33,6 +34,9 @@ from rotorwatch_lab.maths.small import definite_solve, symmetric
 
 MEMORY_S = -1e-3 / float(np.log(0.995))
 """s: the factor 0.995 of Rot et al. in their steps of 1 ms."""
+LEAST_SAMPLES = 20
+"""A measurement tells of as many losses as it has numbers; the others show only while inputs vary. On a hexarotor at 20 Hz AXKF's losses
+swing by 1.9 with the 4 samples of MEMORY_S, by 0.3 with 20 and more (docs/methods/axkf.md)."""
 ROUNDING = 2e-15  # of the largest variance
 
 
@@ -57,11 +61,13 @@ class Zhang:
     )
 
     def __init__(self, system, dt: float, *, memory_s: float | None = MEMORY_S, theta_var=0.01, s_max: float | None = 1.0):
-        """dt: s. memory_s: time after which a measurement counts 1/e for the losses [s], None to forget nothing; theta_var: variance of
-        the losses at the start, a number or one per theta; s_max: bound of that variance, None for none. Raises ConfigError for
-        wrong values."""
+        """dt: s. memory_s: time after which a measurement counts 1/e for the losses [s], None to forget nothing, and LEAST_SAMPLES
+        steps at least where losses outnumber measurements; theta_var: variance of the losses at the start, a number or one per theta;
+        s_max: bound of that variance, None for none. Raises ConfigError for wrong values."""
         self.system, self.dt = plant.checked("The adaptive Kalman filter", system, dt), dt
-        self.memory_s = np.inf if memory_s is None else checks.positive("memory_s", memory_s)
+        least = LEAST_SAMPLES * dt if system.n_theta > system.n_y else 0.0
+        larger = np.maximum if checks.concrete((memory_s,)) else jnp.maximum
+        self.memory_s = np.inf if memory_s is None else larger(checks.positive("memory_s", memory_s), least)
         self.theta_var = linearise.variances("theta_var", theta_var, system.n_theta)
         self.s_max = np.inf if s_max is None else checks.positive("s_max", s_max)
         if s_max is not None and checks.concrete((theta_var, s_max)):

@@ -157,9 +157,14 @@ def is_vacuous(constants: Lipschitz) -> bool:
 
 def theorem_1(A, C, G, Y, constants: Lipschitz, eps_1: float, eps_2: float) -> float:
     """Largest eigenvalue of the matrix of Theorem 1, eq. (7): the theorem applies where it is below zero."""
+    return float(theorem_1_eigenvalues(A, C, G, Y, constants, eps_1, eps_2).max())
+
+
+def theorem_1_eigenvalues(A, C, G, Y, constants: Lipschitz, eps_1: float, eps_2: float) -> np.ndarray:
+    """(3 n,) eigenvalues of the matrix of Theorem 1, eq. (7), ascending."""
     A, C, G = (np.asarray(a, float) for a in (A, C, G))
     GL, eye, none = G @ A - np.asarray(Y, float) @ C, np.eye(len(A)), np.zeros_like(A)
-    return float(np.linalg.eigvalsh(np.block(_theorem_1(GL, G, eye, none, constants, eps_1, eps_2))).max())
+    return np.linalg.eigvalsh(np.block(_theorem_1(GL, G, eye, none, constants, eps_1, eps_2)))
 
 
 def theorem_1_best(A, C, constants: Lipschitz) -> tuple[float, np.ndarray, np.ndarray, float, float]:

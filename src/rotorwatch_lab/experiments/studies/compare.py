@@ -8,6 +8,8 @@ events are read the same way from both. Per estimator and group of flights:
     right          share of faults whose first event names exactly these rotors;  named: or names them among alternatives
     false_alarms_h events before the onset or of other rotors, per hour judged
     coverage       share of right events whose 95 % interval holds the loss
+    p              of Wilcoxon's signed-rank test in pairs: mean error of all rotors' losses in each BLOCK_S of judged flight against that
+                   of the first in the table; small where the two differ by more than chance. Blocks are taken as independent
     us_per_step    microseconds of one step of a quad in a compiled scan, best of three
 """
 
@@ -28,6 +30,9 @@ from rotorwatch_lab.experiments.studies.compare_flights import Scene
 from rotorwatch_lab.published import decide, published
 
 SETTLED_S = 2.0
+BLOCK_S = 5.0  # longer than errors hang together: memories and settling times are a second or two
+LEAST_BLOCKS = 6  # fewer cannot be significant
+PAPERS = ("aesmf", "atsukf", "axkf", "intermediate", "mh_lyapunov")  # the methods that the five papers propose
 STEPS = 4096
 SHORT = {"loss_rmse": "loss RMSE", "right": "right", "false_alarms": "false alarms", "coverage": "coverage"}
 COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false_alarms_h", "coverage")
@@ -35,12 +40,13 @@ COLUMNS = ("flights", "faults", "loss_rmse", "delay_s", "right", "named", "false
 
 class Compared(NamedTuple):
     """Results of one estimator on all flights. rows: group of flights -> measures; us_per_step; why: reason why it could not run, a
-    sentence, else empty."""
+    sentence, else empty; blocks: group -> mean error of the losses in each BLOCK_S of its flights."""
 
     name: str
     rows: dict[str, dict[str, Any]]
     us_per_step: float
     why: str = ""
+    blocks: dict[str, list[float]] | None = None
 
 
 def compare(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable | None = None) -> dict[str, Any]:
@@ -66,9 +72,10 @@ def each(scenes: Sequence[Scene], names: Sequence[str] = (), progress: Callable 
                     progress((k + (i + 1) / len(scenes)) / len(names), name)
             speed = microseconds(name, scenes)
         except ConfigError as why:
-            yield Compared(name, {}, float("nan"), str(why))
+            yield Compared(discovery.title(name), {}, float("nan"), str(why))
             continue
-        yield Compared(name, {group: _row(group_trials) for group, group_trials in trials.items()}, speed)
+        blocks = {group: [error for trial in of for error in trial["blocks"]] for group, of in trials.items()}
+        yield Compared(discovery.title(name), {group: _row(of) for group, of in trials.items()}, speed, "", blocks)
 
 
 def known(names: Sequence[str]) -> list[str]:
@@ -81,13 +88,33 @@ def known(names: Sequence[str]) -> list[str]:
 def gathered(scenes: Sequence[Scene], compared: Sequence[Compared]) -> dict[str, Any]:
     """Result of `compare` for these estimators."""
     groups: dict[str, dict] = {s.group: {} for s in scenes}
+    blocks = {result.name: result.blocks or {} for result in compared}
     for result in compared:
         for group, row in result.rows.items():
-            groups[group][result.name] = row
+            groups[group][result.name] = dict(row)
+    for group, rows in groups.items():
+        for name in (order := _ordered(rows)):
+            rows[name]["p"] = paired(*(blocks[one].get(group, []) for one in (order[0], name))) if name != order[0] else None
     return {
         "groups": groups, "us_per_step": {result.name: result.us_per_step for result in compared if not result.why},
         "failed": {result.name: result.why for result in compared if result.why},
     }  # fmt: skip
+
+
+def paired(first: Sequence[float], other: Sequence[float]) -> float | None:
+    """p of Wilcoxon's signed-rank test of errors block by block; None with fewer than LEAST_BLOCKS."""
+    from scipy.stats import wilcoxon
+
+    if len(first) != len(other) or len(first) < LEAST_BLOCKS:
+        return None
+    difference = np.subtract(other, first)
+    tested: Any = wilcoxon(difference) if difference.any() else None
+    return float(tested.pvalue) if tested else 1.0
+
+
+def _ordered(rows: dict[str, dict[str, Any]]) -> list[str]:
+    """Estimators, the smallest loss RMSE first; those that announced nothing false before others."""
+    return sorted(rows, key=lambda name: (rows[name]["loss_rmse"] or 0.0, rows[name]["false_alarms"]))
 
 
 def line(result: Compared) -> str:
@@ -116,7 +143,7 @@ def _trial(name: str, scene: Scene) -> dict:
     counted = counting.count(raised, rotors, onset)
     trial: dict[str, Any] = {
         "judged_s": float(judging.sum() * table.dt), "fault": bool(scene.faults),
-        "false_alarms": len(counted.false) + len(counted.wrong),
+        "false_alarms": len(counted.false) + len(counted.wrong), "blocks": _blocks(scene, out.theta, judging & ~table.upset),
     }  # fmt: skip
     if not scene.faults:
         return trial
@@ -129,6 +156,18 @@ def _trial(name: str, scene: Scene) -> dict:
         if own == rotors and event is not None and event.loss:
             trial["covered"] = all(lo <= loss[r] <= hi for r, (lo, hi) in zip(event.rotors, event.interval))
     return trial
+
+
+def _blocks(scene: Scene, theta: np.ndarray, judged: np.ndarray) -> list[float]:
+    """Mean absolute error of the losses theta (T, n) in each BLOCK_S of the judged ticks (T,); a block without any is left out. The
+    SETTLED_S after an onset do not count: they are the delay's."""
+    time, true = scene.ticks.time, np.zeros(theta.shape)
+    for rotor, onset, loss in scene.faults:
+        true[time >= onset, rotor - 1] = loss
+        judged = judged & ~((time >= onset) & (time < onset + SETTLED_S))
+    block = np.floor(time / BLOCK_S)
+    error = np.abs(theta - true).mean(axis=1)
+    return [float(error[here].mean()) for k in np.unique(block[judged]) if (here := judged & (block == k)).any()]
 
 
 def _row(trials: list[dict]) -> dict:
@@ -203,21 +242,25 @@ def cell(key: str, value: Any) -> str:
         return str(value)
     if key in ("right", "named", "coverage"):
         return f"{100 * value:.0f} %"
+    if key == "p":
+        return f"{value:.3f}" if value >= 0.001 else "< 0.001"
     digits = {"false_alarms_h": 0, "us_per_step": 0, "loss_rmse": 3}.get(key, 2)
     return f"{value:.{digits}f}"
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """The tables in Markdown, best loss first, one for each group of flights."""
-    heads = ("estimator", "loss RMSE", "delay, s", "right", "named", "false alarms/h", "coverage", "us a step")
-    keys = ("loss_rmse", "delay_s", "right", "named", "false_alarms_h", "coverage")
+def markdown(result: dict[str, Any], form: Callable = tools.table) -> str:
+    """The tables in Markdown, or as `form` (heads, rows) writes one, best loss first, one for each group of flights."""
+    heads = ("estimator", "loss RMSE", "p", "delay, s", "right", "named", "false alarms/h", "coverage", "us a step")
+    keys = ("loss_rmse", "p", "delay_s", "right", "named", "false_alarms_h", "coverage")
     parts = []
     for group, rows in result["groups"].items():
         count = next(iter(rows.values()), {"flights": 0, "faults": 0})
-        parts.append(f"\n## {group[0].upper()}{group[1:]}\n\n{count['flights']} flights, {count['faults']} with a fault.\n")
-        order = sorted(rows, key=lambda name: (rows[name]["loss_rmse"] or 0.0, rows[name]["false_alarms"]))
+        sign = "##" if form is tools.table else "%"
+        flights = f"{count['flights']} flights, {count['faults']} with a fault; p: paired test of the errors against the first."
+        parts.append(f"\n{sign} {group[0].upper()}{group[1:]}\n\n{flights if form is tools.table else '% ' + flights}\n")
+        order = _ordered(rows)
         cost = {name: cell("us_per_step", result["us_per_step"].get(name)) for name in order}
-        parts.append(tools.table(heads, ([f"`{n}`", *(cell(k, rows[n][k]) for k in keys), cost[n]] for n in order)))
+        parts.append(form(heads, ([f"`{n}`", *(cell(k, rows[n].get(k)) for k in keys), cost[n]] for n in order)))
     for name, why in result["failed"].items():
         parts.append(f"\n`{name}`: {why}")
     return "\n".join(parts) + "\n"

@@ -22,6 +22,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.toolkit import READY_S, Case, Ticks, aerobatic, airborne, allocation, prepare
+from rotorwatch_lab.estimate import Truth, read_truth
 from rotorwatch_lab.experiments.inject import inject
 from rotorwatch_lab.published import log_plant
 
@@ -32,6 +33,7 @@ INERTIA = np.array([0.012, 0.013, 0.025])  # hover thrusts of one rotor x arm, p
 DRAG_RATIO, MOTOR_LAG, DAMPING = 0.06, 0.025, 0.02
 GUST_SD, GUST_S = np.array([0.03, 0.03, 0.004, 0.02]), 0.8  # torques in those units; share of weight
 GYRO_SD, ACCEL_SD = 0.005, 0.4
+STAYS = 0.02  # a loss that changes by less stays
 TURN_SD, TURN_S = 0.12, 2.5  # rad: how the pilot tilts
 
 
@@ -163,7 +165,8 @@ def injected(paths: Sequence[str | PathLike], losses: Sequence[float] = (0.2, 0.
 
 
 def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[Scene]:
-    """Scenes of logs with a CSV table of faults: columns path, faulty_rotors (1+2), thrust_loss, start_s; matched by log name.
+    """Scenes of logs with a CSV table of faults: columns path, faulty_rotors (1+2), thrust_loss, start_s; matched by log name. Of a single
+    log also the losses over time that `rotorwatch simulate` writes: columns time_s, loss_1 and so on.
 
     Left out: logs that the file does not list, losses it does not know, and (column faults) those that change on the way.
     Raises ConfigError for other files.
@@ -174,6 +177,10 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
             rows, columns = list(table), set(table.fieldnames or ())
     except (UnicodeDecodeError, csv.Error) as why:
         raise ConfigError(f"{truth} is no table of commas and lines ({why}).") from None
+    if "time_s" in columns and len(paths) == 1:
+        flight = _read(paths[0])
+        scene = _scene("logs with known faults", flight, airframes.identify(flight), _steps(read_truth(truth, flight.name), truth))
+        return [scene] if scene else []
     if not {"path", "faulty_rotors", "thrust_loss", "start_s"} <= columns:
         raise ConfigError(f"{truth} needs the columns path, faulty_rotors, thrust_loss and start_s.")
     known = {_stem(row["path"]): row for row in rows if row["path"]}
@@ -193,6 +200,18 @@ def with_truth(paths: Sequence[str | PathLike], truth: str | PathLike) -> list[S
             raise ConfigError(f"{truth}: the line of {row['path']} does not give rotors (as in 1+2), start and loss as numbers.") from None
         scenes.append(_scene("logs with known faults", flight, airframes.identify(flight), faults))
     return [s for s in scenes if s is not None]
+
+
+def _steps(known: Truth, truth: str | PathLike) -> list[tuple[int, float, float]]:
+    """(rotor, onset s, loss) of every loss that begins once and stays. Raises ConfigError for another."""
+    faults = []
+    for name, (times, values) in known.items():
+        lost = np.flatnonzero(values)
+        if name.startswith("loss_") and lost.size:
+            if np.ptp(values[lost[0] :]) > STAYS:
+                raise ConfigError(f"{truth}: {name} changes on the way; compare takes losses that begin once and stay.")
+            faults.append((int(name.removeprefix("loss_")), float(times[lost[0]]), float(values[lost[-1]])))
+    return faults
 
 
 def _read(path: str | PathLike) -> Flight:

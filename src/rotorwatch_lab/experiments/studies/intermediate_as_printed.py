@@ -23,6 +23,9 @@ from rotorwatch_lab.maths import intermediate_design as design
 
 MUS = (1.0, 0.1, 0.01)  # "small", table 1
 PRINTED_S = {"scenario_1": (68.5,), "scenario_2": (73.5,), "scenario_3": (73.0, 91.0, 110.0), "scenario_4": (50.0,)}
+HEIGHT_M = {"scenario_1": 4.0, "scenario_2": 2.4, "scenario_3": 2.4, "scenario_4": 3.8}
+# Rows and columns of what eq. (6) adds up, as its definitions have them: x is (phi, theta, psi) and rates, N is I_4.
+SIZES = {"x": (6, 1), "A": (8, 8), "B": (8, 4), "u": (4, 1), "N": (4, 4), "xi": (4, 1), "G": (8, 1)}
 LENGTH_S = 130.0  # the last time that is printed, of scenario 3 (as 1300 s)
 
 
@@ -44,6 +47,33 @@ def observe(vehicle: Craft, L, alpha: float, u, y) -> tuple[np.ndarray, np.ndarr
         z = keep @ z + push @ row
         fault[k] = z[8:] + S @ z[:8]
     return fault, -np.linalg.solve(DM, fault.T).T / u
+
+
+def rotation(phi: float, theta: float, psi: float, mended: bool = False) -> np.ndarray:
+    """(3, 3) R of eq. (1); mended: with sin phi, cos phi where it has cos phi in the last column and psi in the last row."""
+    (s_phi, s_theta, s_psi), (c_phi, c_theta, c_psi) = np.sin([phi, theta, psi]), np.cos([phi, theta, psi])
+    corner, last = (s_psi * s_phi, (s_phi, c_phi)) if mended else (s_psi * c_phi, (s_psi, c_psi))
+    return np.array(
+        [
+            [c_psi * c_theta, c_psi * s_theta * s_phi - s_psi * c_phi, c_psi * s_theta * c_phi + corner],
+            [s_psi * c_theta, s_psi * s_theta * s_phi + c_psi * c_phi, s_psi * s_theta * c_phi - s_phi * c_psi],
+            [-s_theta, c_theta * last[0], c_theta * last[1]],
+        ]
+    )
+
+
+def off_rotation(mended: bool) -> float:
+    """Largest entry of R R' - I at roll 0.1, pitch 0.1, yaw 1 rad: none for a rotation."""
+    R = rotation(0.1, 0.1, 1.0, mended)
+    return float(np.abs(R @ R.T - np.eye(3)).max())
+
+
+def misfits(sizes: Mapping[str, tuple[int, int]] = SIZES) -> list[str]:
+    """What cannot be multiplied or added in A x + B u + N xi + G of these sizes."""
+    products = (("A", "x"), ("B", "u"), ("N", "xi"))
+    wrong = [f"{M} has {sizes[M][1]} columns for the {sizes[v][0]} of {v}" for M, v in products if sizes[M][1] != sizes[v][0]]
+    rows = {f"{M} {v}": sizes[M][0] for M, v in products} | {"G": sizes["G"][0]}
+    return wrong + [f"{name} has {n} rows, dx/dt {sizes['A'][0]}" for name, n in rows.items() if n != sizes["A"][0]]
 
 
 def assumptions() -> dict:
@@ -99,13 +129,19 @@ def procedure(vehicle: Craft, u, y, epsilons: dict[str, float], settle: Callable
     return {"rows": rows}
 
 
-def long_flights(vehicle: Craft, scenarios: dict, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(u, y, gamma) of every scenario with its faults at the printed times, in noise."""
-    T = round(LENGTH_S / DT)
-    gamma = np.zeros((len(scenarios), T, 4))
+def long_losses(scenarios: dict) -> np.ndarray:
+    """(scenarios, T, 4) losses with the faults at the printed times."""
+    gamma = np.zeros((len(scenarios), round(LENGTH_S / DT), 4))
     for k, (name, (losses, _)) in enumerate(scenarios.items()):
         for at, loss in zip(PRINTED_S[name], losses, strict=True):
             gamma[k, round(at / DT) :] = loss
+    return gamma
+
+
+def long_flights(vehicle: Craft, scenarios: dict, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(u, y, gamma) of every scenario with its faults at the printed times, in noise."""
+    gamma = long_losses(scenarios)
+    T = gamma.shape[1]
     noise = rng.standard_normal((len(gamma), hover_flights.PER_SAMPLE * T, 8)) * hover_flights.SD
     u, y = hover_flights.fly(vehicle, gamma, np.zeros_like(gamma), noise)
     return u, y, gamma
@@ -142,10 +178,12 @@ def claims(f: dict) -> tuple[Claim, ...]:
         "matching": graded(f["matching"]["least"] < 0 > f["matching"]["slowest"], f["matching"]["slowest"] < 0),
         "procedure": graded(feasible["as printed"], feasible["its inverse"]),
         "printed_times": graded(off < 2e-3),
+        "rotation": "refuted" if f["eq_1"]["as printed"] > 1e-3 else "holds",
+        "sizes": "refuted" if f["eq_6"] else "holds",
     }
     return reproduction.claims(
         "intermediate", verdicts, f=f, fails="; ".join(f"{name} {text}" for name, text in fails.items()), off=off,
-        passes=", ".join(name for name, row in rank.items() if row["holds"]),
+        misfits="; ".join(f["eq_6"]) or "none", passes=", ".join(name for name, row in rank.items() if row["holds"]),
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 """The filters of the helicopter's study: every one gets the same bounds. Sets are built in four forms, FORMS, and Kalman filters run with
-a restart after a measurement they cannot explain and without.
+a restart after a measurement they cannot explain and without. The paper's formulas are lost in print: its form is that of the sources it
+names, Scholte and Campbell 2003 and Zhou, Han and Liu 2008.
 
 Kalman filters take a third of each bound for a standard deviation and claim three of them.
 """
@@ -35,18 +36,18 @@ FORMS: dict[str, dict[str, Any]] = {
     "own": {},
 }
 FORM_LABELS = {
-    "printed": "as printed",
-    "printed_restart": "as printed, with a restart",
+    "printed": "as in its sources",
+    "printed_restart": "as in its sources, with a restart",
     "own_no_restart": "own form, without a restart",
     "own": "own form",
 }
 
 
 def by_form(texts: Mapping[str, str]) -> str:
-    """Results of the forms of the sets in one text; the printed form's with and without a restart once where they are equal."""
+    """Results of the forms of the sets in one text; those of the sources' form with and without a restart once where they are equal."""
     labels = dict(FORM_LABELS)
     if texts.get("printed") is not None and texts.get("printed") == texts.get("printed_restart"):
-        labels["printed_restart"] = "as printed, restart or not"
+        labels["printed_restart"] = "as in its sources, restart or not"
         texts = {form: text for form, text in texts.items() if form != "printed"}
     return "; ".join(f"{labels[form]} {text}" for form, text in texts.items())
 
@@ -70,18 +71,21 @@ def filters(system, literal=(), form: str | None = None) -> dict[str, Any]:
         "remainder_box": "paper" if "box" in literal else "trace",
     }
     rule: dict[str, Any] = {"additive": "additive" in literal}
-    walk = (TOO_WIDE * PROCESS[6:] / 3) ** 2 / DT
-    kalman: dict[str, Any] = {"theta_walk": walk, "theta_var": (START_REACH / 3) ** 2}
-    kalman_plant = ruav_flight.plant()
-    kalman_plant.process_sd = TOO_WIDE * PROCESS[[0, 3]] / 3
     return {
         "esmf": ESMF(system, DT, **bounds),
         "aesmf": AESMF(system, DT, **bounds, **rule),
         "aesmf_floor": AESMF(system, DT, **bounds, **rule, floor=1 / TOO_WIDE**2),
-        "aekf": AEKF(kalman_plant, DT, **kalman),
-        "aukf": AUKF(kalman_plant, DT, **kalman),
-        "ekf": EKF(kalman_plant, DT, **kalman),
+        "aekf": kalman(AEKF),
+        "aukf": kalman(AUKF),
+        "ekf": kalman(EKF),
     }
+
+
+def kalman(kind: type, wide: float = TOO_WIDE):
+    """A Kalman filter of that kind, three deviations of whose process noise are `wide` true semi-axes."""
+    plant = ruav_flight.plant()
+    plant.process_sd = wide * PROCESS[[0, 3]] / 3
+    return kind(plant, DT, theta_walk=(wide * PROCESS[6:] / 3) ** 2 / DT, theta_var=(START_REACH / 3) ** 2)
 
 
 def is_kalman(estimator) -> bool:

@@ -362,10 +362,11 @@ def figures(flown: dict) -> dict:
     rates, axes = panels(2, 1, (9, 5), sharex=True)
     for axis, (name, (label, _)) in zip(axes.flat, names.items(), strict=True):
         for i, rate in enumerate("pqr"):
-            axis.plot(steps[name], np.clip(flown[name].x[:, 3 + i], -3, 3), lw=0.8, label=rate)
+            axis.plot(steps[name], flown[name].x[:, 3 + i], lw=0.8, label=rate)
         for limit in (-STABLE, STABLE):
             axis.axhline(limit, color="k", lw=0.6, ls=":")
-        axis.set(title=f"designed for the bounds of {label}", ylabel="rad/s", ylim=(-1.5, 1.5))
+        reach = 1.1 * min(max(np.nanmax(np.abs(flown[name].x[:, 3:])), STABLE), LOST)
+        axis.set(title=f"designed for the bounds of {label}", ylabel="rad/s", ylim=(-reach, reach))
     axes[0, 0].legend(fontsize="small")
     axes[1, 0].set_xlabel("step")
     bounds, axes = panels(2, 2, (9, 6), sharex=True)

@@ -25,21 +25,21 @@ ATTITUDE_P, ATTITUDE_D, ATTITUDE_I = (100.0, 100.0, 16.0), (18.0, 18.0, 8.0), (1
 TILT = 0.4  # rad, at most
 
 
-def losses(scenario: int) -> np.ndarray:
-    """(T, 4) true losses: 0.02 (t - 30) from 30 to 40 s and 0.4 from 50 to 80 s, of motor 1 or of all (scenario 2)."""
+def losses(scenario: int, motors: int = 4) -> np.ndarray:
+    """(T, motors) true losses: 0.02 (t - 30) from 30 to 40 s and 0.4 from 50 to 80 s, of motor 1 or of all (scenario 2)."""
     t = np.arange(round(SECONDS / DT)) * DT
     loss = np.where((t >= 30) & (t < 40), 0.02 * (t - 30), 0.0) + np.where((t >= ONSET) & (t < 80), STEP, 0.0)
-    return loss[:, None] * (np.eye(4)[0] if scenario == 1 else np.ones(4))
+    return loss[:, None] * (np.eye(motors)[0] if scenario == 1 else np.ones(motors))
 
 
 def fly(airframe: dict, loss: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Commands u (T, 4) and pose (T, 6) [m, rad] after each, of a flight with these true losses (T, 4)."""
+    """Commands u (T, n) and pose (T, 6) [m, rad] after each, of a flight with these true losses (T, n)."""
     jax = load_jax()
     jnp = jax.numpy
     m, g, J = float(airframe["mass"]), float(airframe["gravity"]), np.array(airframe["inertia"])
     x, y, spin = (np.array(airframe["rotors"][k], float) for k in ("x", "y", "spin"))
-    wrench = airframe["thrust_max"] * np.stack([np.ones(4), -y, x, airframe["drag_ratio"] * spin])
-    allocation = np.linalg.inv(wrench)
+    wrench = airframe["thrust_max"] * np.stack([np.ones_like(x), -y, x, airframe["drag_ratio"] * spin])
+    allocation = np.linalg.pinv(wrench)
 
     def rate(s, thrust):
         q, v, omega = s[3:7], s[7:10], s[10:]
