@@ -185,7 +185,7 @@ def test_the_post_of_a_flight_is_copied(tab, site, browser):
     page.evaluate("void (document.execCommand = () => false)")
     button.click()
     page.wait_for_selector("#copied:has-text('Ctrl+C')")
-    assert box.is_visible() and page.evaluate("getSelection().toString()").startswith("**✓ Healthy")
+    assert box.is_visible() and page.evaluate("getSelection().toString()").startswith("**✓ Fly · Healthy")
     assert report.violations() == [] and report.overflow() <= 0 and report.wrong == []
 
 
