@@ -177,8 +177,9 @@ def run(
 def export(
     plan: str | os.PathLike | Benchmark, folder: str | os.PathLike, progress: Callable[[float, str], Any] | None = None
 ) -> list[Path]:
-    """Write a benchmark's flights for methods of other programs, and return the files: each log with its losses over time
-    (.truth.csv, as `rotorwatch compare --truth` reads them), plan.toml, and SHA256SUMS of them all. folder: a new or empty one. progress(share, text). Raises ConfigError."""
+    """Write a benchmark's flights for methods of other programs, and return the files: each log with its losses over time (.truth.csv, as
+    `rotorwatch compare --truth` reads them), plan.toml, and SHA256SUMS of them all. folder: a new or empty one. progress(share, text).
+    Raises ConfigError."""
     benchmark, place = plan if isinstance(plan, Benchmark) else read(plan), Path(folder)
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise ConfigError(f"{folder} holds something already; give a new folder.")
