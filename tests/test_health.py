@@ -159,6 +159,7 @@ def told(trends, events=(), **more):
 def test_the_answer_names_the_rotor_whose_loss_grows():
     end = told((None, SLOW, None, None))
     assert end.verdict == "ambiguous" and end.rotors[1].trend is SLOW
+    assert [r.status for r in end.rotors] == ["healthy", "suspect", "healthy", "healthy"]
     assert end.rotors[1].grade == "worn to weak" and end.rotors[0].grade == "healthy"
     for text in (end.headline, end.reason):
         assert "otor 2 is losing thrust at 7.3 % (5.5 to 9.1 %) per minute" in text

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit import odds
 from rotorwatch_lab.campaign import claims, odds_ablation, odds_fit, reliability
@@ -53,6 +54,33 @@ def test_a_claimed_loss_stands_is_open_or_goes(log_odds, decision):
     names = (("loss", "", (0,)), ("nothing", "", ()))
     against = odds.WEIGHTS["nothing"] - odds.WEIGHTS["claimed"]
     claim = a_claim([(against + log_odds) / odds.TEMPER, 0.0], names)
+    assert claim.decided(claim.weighed()) is decision
+
+
+@pytest.mark.parametrize(("loss", "change"), [(0.2, np.log(2.0)), (0.0, 0.0), (-0.02, -1.148), (-0.8, -803.92)])
+def test_no_loss_is_negative(loss, change):
+    """log(2 Phi(loss / sd)), by the normal distribution's tables and its asymptote -z^2 / 2 - log(-z sqrt(pi / 2))."""
+    fit = Fit(10.0, np.ones(4), np.full(4, loss), np.full(4, 0.02))
+    one = odds.row(odds.Rival("loss", Explanation((1,))), fit)
+    assert one.log_p == pytest.approx(10.0 + change, abs=0.25) and one.weak == ((1,) if loss > 0.0 else ())
+    stuck = odds.row(odds.Rival("stuck", Explanation((1,), gives=2.0)), fit)
+    assert stuck.log_p == 10.0
+
+
+@pytest.mark.parametrize(
+    ("claimed", "others", "decision"),
+    [
+        (0.0, (-9.0, -9.0, -9.0), odds.Decision.LOSS),
+        (0.0, (-2.8, -2.8, -2.8), odds.Decision.OPEN),  # each is unlikely, but not all together
+        (-4.0, (0.0, -9.0, -9.0), odds.Decision.OPEN),  # another rotor
+        (-4.0, (0.0, 0.0, 0.0), odds.Decision.DROPPED),  # none in particular
+    ],
+)
+def test_a_claim_that_any_rotor_could_take_the_place_of_is_open_or_goes(claimed, others, decision):
+    names = (("loss", "", (0,)), ("nothing", "", ()), *(("loss", "step 1", (i,)) for i in (1, 2, 3)))
+    more = [odds.WEIGHTS["claimed"], odds.WEIGHTS["nothing"], *[odds.WEIGHTS["beside"]] * 3]
+    logs = [(x - w) / odds.TEMPER for x, w in zip((claimed, -20.0, *others), more)]
+    claim = a_claim(logs, names)
     assert claim.decided(claim.weighed()) is decision
 
 

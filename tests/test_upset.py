@@ -280,6 +280,15 @@ def test_a_loss_that_had_become_trim_is_not_said_to_be_no_rotor(number):
     assert [r.rotor for r in diagnosis.rotors if r.status != "healthy"] == [fault["rotor"]]
 
 
+def test_a_rotor_stuck_high_is_not_taken_for_the_loss_of_the_opposite_one():
+    """A hexa of the open world. Both turn it the same way; how it is lifted is no more than a part of the evidence."""
+    plan = campaign.read(Path(__file__).parents[1] / "plans" / "open.toml")
+    ((number, *simulated),) = batch.simulated(plan, [969], batch.CPU_WIDTH)
+    found = diagnose(batch.logged(number, *simulated))
+    (loss,) = of(found, "loss_of_effectiveness")
+    assert loss.rotors == (2,) and not loss.alternatives and "stuck" in found.headline
+
+
 def test_a_hard_landing_is_under_control():
     assert loss_of_control.find(fallen(3.5), [(0.0, 7.2)]) == ()
 

@@ -90,9 +90,9 @@ def add(store, logs, aircraft, vehicle, follow, mqtt, webhook, jobs, scheduler, 
         if broker:
             broker.aircraft(store)
 
-    from rotorwatch.live.channels import webhook as posts
-
     if webhook and follow:
+        from rotorwatch.live.channels import webhook as posts
+
         posts.checked(webhook)
     with progress(quiet or not live()) as report:
         outcomes, others = run.add(store, logs, aircraft, known, tell, report, jobs, scheduler)
@@ -113,7 +113,11 @@ def add(store, logs, aircraft, vehicle, follow, mqtt, webhook, jobs, scheduler, 
     if follow:
         if not quiet:
             say(f"watching {', '.join(map(str, folders))}; Ctrl-C stops it")
-        outlet = posts.Webhook(webhook, say) if webhook else None
+        outlet = None
+        if webhook:
+            from rotorwatch.live.channels.webhook import Webhook
+
+            outlet = Webhook(webhook, say)
         try:
             run.follow(store, folders, aircraft, known, tell, say, assessed=assessed, alert=lambda told: _alert(told, outlet))
         finally:

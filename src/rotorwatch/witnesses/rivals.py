@@ -19,7 +19,7 @@ from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.estimator.plant import ANSWER_S
 from rotorwatch.engine.events.losses import WITHIN_95
-from rotorwatch.engine.motion.tick_table import JUDGE
+from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
@@ -138,7 +138,7 @@ def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s:
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
-    where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(view, events, event.rotors))
+    where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(table, events, event.rotors))
     if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S:
         return None
     if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
@@ -155,10 +155,8 @@ def _in_time(where: Span) -> Span:
     return replace(before[int(np.argmax(fits))], onset=where.onset)
 
 
-def _missing(view: View, events: Sequence[Event], but: Sequence[int] = (), lag_s: float = 0.0) -> np.ndarray:
-    """(T, n) thrust that losses take at the ticks, without those of some rotors, from 1. lag_s: of the commands."""
-    assert view.table is not None
-    table = lagged(view.table, view.B, lag_s) if lag_s else view.table
+def _missing(table: Ticks, events: Sequence[Event], but: Sequence[int] = ()) -> np.ndarray:
+    """(T, n) thrust that losses take at the ticks, without those of some rotors, from 1."""
     lost = np.zeros_like(table.thrust)
     for e in events:
         if e.kind != LOSS or e.alternatives or set(e.rotors) & set(but):
@@ -175,9 +173,9 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     within MARGIN_S of the end does not count: it would be taken for a change of the trim."""
     if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.table is None:
         return event
-    rest, logs = [e for e in events if e is not event], []
+    rest, logs, slow = [e for e in events if e is not event], [], lagged(view.table, view.B, ANSWER_S)
     for told in (event, replace(event, end_s=None)):
-        missing = _missing(view, [*rest, told], lag_s=ANSWER_S)
+        missing = _missing(slow, [*rest, told])
         where = span(view.table, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
         if (len(where.ticks.time) - where.onset) * view.table.dt < SHORTEST_S:
             return event
