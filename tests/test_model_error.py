@@ -175,6 +175,16 @@ def test_far_from_hover_is_counted_beyond_three_tenths(thrust, load, far):
     assert memory.collective == pytest.approx(1.0 + (thrust - 1.0) * DT / USUAL_S)
 
 
+def test_the_usual_thrust_is_what_the_rotors_give_not_what_they_are_commanded():
+    """A rotor that lost a half is commanded twice as much and gives as before; a state out of range counts as 0 or 1."""
+    state, thrust = X.copy(), np.ones(N)
+    state[THETA], thrust[0] = 0.5, 2.0
+    assert model_error.given(P, inputs(thrust), state.tolist()) == pytest.approx(1.0)
+    for theta, first in ((-0.3, 2.0), (1.3, 0.0)):
+        state[THETA] = theta
+        assert model_error.given(P, inputs(thrust), state.tolist()) == pytest.approx((first + N - 1) / N)
+
+
 def remembered(innovations, variance=1.0, ok=YES, start=None):
     memory = copied(start or begun())
     for e in innovations:

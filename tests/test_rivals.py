@@ -18,6 +18,7 @@ from rotorwatch.witnesses.witness import View
 
 DT, ONSET_S, SECONDS = 0.05, 25.0, 60.0
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
+THEM = rivals.rivals(4, (0,), 35.0)
 WIND = np.array([0.35, 0.2, 0.0, 0.0])  # hover thrusts of one rotor, about roll and pitch: no rotor's direction
 
 
@@ -101,6 +102,17 @@ def test_two_seconds_of_contact_accuse_nobody():
 def test_the_wrong_rotor_is_not_left_alone():
     kept, _, _ = heard(flight(0.3, rotor=0), [claim(3)])
     assert all(e.rotors == (1,) or (1,) in e.alternatives for e in kept)
+
+
+def test_every_rotors_loss_is_tried_beside_the_likeliest_disturbances():
+    """Only the claimed one ends: an end opens the trim once more."""
+    found = rivals.weigh(view(flight(0.3, end=ONSET_S + 10.0)), claim(1, end=ONSET_S + 10.0), ())
+    assert found is not None
+    tried = [r.rotors for r in found.rows if r.group == "loss" and r.beside]
+    assert sorted(tried) == sorted([(i,) for i in range(4)] * rivals.COMPANIONS)
+    assert {r.how.end_s for r in rivals.beside(4, (0,), 35.0, THEM, np.zeros(len(THEM))) if r.name == "loss" and r.how.rotors != (0,)} == {
+        np.inf
+    }
 
 
 def test_a_slow_motor_elsewhere_is_no_loss_here():
