@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes, diagnose
-from rotorwatch.engine.estimator.plant import CURVE, SHARE, TAU
+from rotorwatch.engine.estimator.plant import AIR, SHARE, TAU
 from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.stats.tails import normal_cdf
@@ -240,11 +240,11 @@ def test_a_log_says_what_to_ask(flown):
 
 
 def test_the_lower_rotors_share_is_read_from_its_own_place_in_the_state():
-    """Not from that of the thrust curve, which stands before it."""
+    """Not from that of the air, which stands before it."""
     coaxial = airframes.named("ardupilot-y6").effectiveness()
     n, T = coaxial.shape[1], 5
     s, P = np.zeros(SHARE + 1 + n), 9.0 * np.eye(SHARE + 1 + n)
-    s[CURVE], s[SHARE], P[SHARE, SHARE] = 0.7, 0.1, 0.04**2
+    s[AIR], s[SHARE], P[SHARE, SHARE] = 0.7, 0.1, 0.04**2
     thrust = np.random.default_rng(0).uniform(0.5, 1.5, (T, n))
     table = SimpleNamespace(thrust=thrust, wrench=np.zeros((T, 4)), load=np.zeros(T))
     model = excitation_response._model(SimpleNamespace(s=s, P=P, variances=np.zeros((4, 4))), table, coaxial)

@@ -24,7 +24,6 @@ from rotorwatch.engine.estimator.plant import (
     B1,
     B2,
     B3,
-    CURVE,
     LOAD_GAIN,
     PER_AXIS,
     THETA,
@@ -35,7 +34,6 @@ from rotorwatch.engine.estimator.plant import (
     Plant,
     Rows,
     bend,
-    bent_wrench,
     dot,
     entry,
     rows,
@@ -247,29 +245,21 @@ class Estimator(Struct):
         n = p.rotors
         leader = self.branches.all[0]
         self.usual = max(given(p, now, leader.s) if now.restart else self.memory.collective, LEAST_USUAL)
-        rows(p, now, now.thrust, now.forward, now.right, leader.s, self.usual, self.rows)
-        bends = local(REAL, ROTORS)
-        bent = local(REAL, 4)
+        rows(p, now, now.thrust, now.forward, now.right, leader.s, self.rows)
         lost = local(REAL, 4)
-        bend(p, now, now.thrust, self.usual, bends)
-        bent_wrench(p, bends, bent)
         for a in range(4):
             for i in range(n):
                 lost[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]
         seen = self.seen
-        self.memory.weigh_inputs(p, now, leader.s, lost, bent, self.noise, flying, seen)
-        # The thrust curve is not observable while something other than the rotors may carry the vehicle near the ground, and beside a
-        # weak rotor a curve error looks like its loss.
-        if not judge or leader.weak(p):
-            seen.curve = 0.0
+        self.memory.weigh_inputs(p, now, leader.s, lost, self.noise, flying, seen)
         seen.gain_share[AIR] = shows_air(now.axial) if flying else 0.0
         m = self.measured
-        self.memory.variance(p, now, seen, leader.s, self.noise, m.R)
+        self.memory.variance(p, now, seen, leader.s, self.usual, self.noise, m.R)
         wrench = now.wrench[THRUST] if now.valid[THRUST] else 0.0
         air = real(n) * now.axial * leader.s[AIR]
-        self.missing.follow(p, now, wrench + bent[THRUST] * leader.s[CURVE] - now.load * leader.s[LOAD_GAIN] - air)
+        self.missing.follow(p, now, wrench - now.load * leader.s[LOAD_GAIN] - air)
 
-        rows(p, now, seen.thrust, seen.forward, seen.right, leader.s, self.usual, self.rows)
+        rows(p, now, seen.thrust, seen.forward, seen.right, leader.s, self.rows)
         dragged = 0.0
         missing_drag = 0.0
         for i in range(n):
@@ -278,14 +268,9 @@ class Estimator(Struct):
         for a in range(4):
             m.y[a] = now.wrench[a] if now.valid[a] else 0.0
             m.counts[a] = now.valid[a] and flying
-            row = self.rows.h[a]
-            m.y[a] -= (1.0 - seen.curve) * row[CURVE] * leader.s[CURVE]
-            row[CURVE] *= seen.curve
             m.R[a] += self.noise.v[WHITE][a]
         m.y[YAW] += dragged
         m.R[YAW] += ERROR_TICKS * missing_drag * missing_drag
-        m.least = -now.expo / max(now.expo_sd, 1e-9)
-        m.most = (1.0 - now.expo) / max(now.expo_sd, 1e-9)
         self.unsure = self.memory.unsure()
         for a in range(4):  # the residual for the noise includes the biases
             x = a * PER_AXIS
@@ -337,7 +322,7 @@ class Estimator(Struct):
             if leader.active[i]:
                 bent = (1.0 - out.theta[i]) * bends[i] / more[i]
                 variance += self.unsure * leader.P[entry(THETA + i, THETA + i)]
-                variance += bent * bent * leader.P[entry(CURVE, CURVE)]
+                variance += bent * bent
             out.theta_sd[i] = sqrt(max(variance, 0.0))
             out.gives[i] = leader.gives[i] if leader.active[i] else 0.0
         for a in range(4):
