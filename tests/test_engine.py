@@ -15,14 +15,14 @@ SHORT = 160  # ticks that Python runs in a second or two
 
 
 def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0):
-    """u, y, valid of a flight in which a rotor loses 40 %, is well again, something pushes the vehicle, and it lands and takes off again;
+    """u, y, valid of a flight in which a rotor loses 60 %, is well again, something pushes the vehicle, and it lands and takes off again;
     the controller makes up for the loss. Motion is not measured now and then, nor is the speed."""
     rng, n = np.random.default_rng(seed), B.shape[1]
     when = np.arange(ticks)
-    loss = 0.4 * np.eye(n)[1] * ((when >= FAILS) & (when < WELL))[:, None]
+    loss = 0.6 * np.eye(n)[1] * ((when >= FAILS) & (when < WELL))[:, None]
     thrust = 1.0 + 0.03 * rng.normal(size=(ticks, n))
     late = np.minimum(np.maximum(when - FAILS, 0) * dt / 0.2, 1.0) * (when < WELL + 4)
-    lost = (0.4 * B[:, 1])[:, None] * late
+    lost = (0.6 * B[:, 1])[:, None] * late
     thrust = np.maximum(thrust + (np.linalg.pinv(B) @ lost).T, 0.05)
     turn = np.where((when % 90 < 30)[:, None], 0.5, 0.05) * rng.normal(size=(ticks, 3))
     mode = np.where(when < 5, GROUND, np.where(when < SETTLES, LEARN, JUDGE))

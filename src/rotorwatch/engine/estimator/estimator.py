@@ -132,7 +132,7 @@ class Estimator(Struct):
             size = SLOTS // LANES
         elif self.stage == MEASURED:
             if first == 0:
-                self.look(p, now, judge, flying)
+                self.look(p, now, flying)
             if lives(self.branches.all[first]):
                 self.branches.all[first].update(p, self.rows, self.measured, self.seen.gain_share)
         elif self.stage == OBSERVED:
@@ -240,7 +240,7 @@ class Estimator(Struct):
             learns[a] = now.valid[a] and quiet and flying
         self.noise.step(p, self.left, learns, self.trust)
 
-    def look(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
+    def look(self, p: Plant, now: Inputs, flying: bool) -> None:
         """Determine how far to trust this tick's inputs and the model, and build the measurement with its variance R."""
         n = p.rotors
         leader = self.branches.all[0]

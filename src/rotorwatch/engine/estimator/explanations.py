@@ -96,7 +96,7 @@ def explain(
                         e.branches.all[k].P[entry(THETA + i, THETA + i)] += them[k].grows * them[k].grows * p.dt
             if t >= onset and t < them[k].calm:
                 _stir(p, e.branches.all[k], e.noise, them[k].force * them[k].force - 1.0, them[k].drift)
-        e.look(p, now, True, True)
+        e.look(p, now, True)
         for a in range(4):
             wrench[a] = e.measured.y[a]
             counts[a] = e.measured.counts[a] and (t < onset or t >= begin) and (t < over or t >= over + settles)
