@@ -80,13 +80,15 @@ def command(build):
 
 
 @pytest.fixture(scope="module")
-def page(project, tmp_path_factory):
-    """The folder with rotorwatch.wasm, rotorwatch.mjs and rotorwatch.html."""
-    folder = tmp_path_factory.mktemp("page")
-    try:
-        exporter.export_log_reader(folder, page=True)
-    except ConfigError as why:
-        pytest.skip(str(why))
+def page(project, tmp_path_factory, amount):
+    """The folder with rotorwatch.wasm, rotorwatch.mjs and rotorwatch.html. With --thorough it is optimised as for users."""
+    folder, running = tmp_path_factory.mktemp("page"), exporter.running
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "VECTORS", amount(("-O1", *running.VECTORS[1:]), running.VECTORS))
+        try:
+            exporter.export_log_reader(folder, page=True)
+        except ConfigError as why:
+            pytest.skip(str(why))
     return folder
 
 
