@@ -147,7 +147,6 @@ def test_telemetry_logs_are_read_without_pymavlink(tmp_path):
     assert done.returncode == 0 and json.loads(done.stdout)["rotors"] == 4, done.stderr
 
 
-@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("arguments", [["info", str(SAMPLE)], ["--help"], ["diagnose", "--help"], ["watch", "--help"]])
 def test_other_commands_need_neither(arguments, tmp_path):
     done = without(tmp_path, *arguments)
