@@ -315,9 +315,18 @@ class BinaryLog:
 
     def _versions(self, name: str | None = None) -> list[tuple[int, Format, np.ndarray]]:
         """(type, Format, record numbers in order) for each definition of `name` (all names if None)."""
-        wanted = [t for t, many in self._formats.items() if name is None or any(fmt.name == name for _, fmt in many)]
+        wanted = self._formats if name is None else self._named.get(name, ())
         versions = [each for type_ in wanted for each in self._versions_of(type_)]
         return [each for each in versions if name in (None, each[1].name)]
+
+    @cached_property
+    def _named(self) -> dict[str, list[int]]:
+        """Name -> types that are ever called so."""
+        named: dict[str, list[int]] = {}
+        for type_, versions in self._formats.items():
+            for name in dict.fromkeys(fmt.name for _, fmt in versions):
+                named.setdefault(name, []).append(type_)
+        return named
 
     def _versions_of(self, type_: int) -> list[tuple[int, Format, np.ndarray]]:
         """The versions of one type, which may be redefined any number of times; identical definitions are merged."""
