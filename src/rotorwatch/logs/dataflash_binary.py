@@ -13,7 +13,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,6 +66,7 @@ class Format:
         return first if first in ("TimeUS", "TimeMS") and self.codes[0] in "QIqi" else ""
 
 
+@lru_cache(maxsize=1024)  # logs of one folder have the same ones
 def make_format(type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True) -> Format | None:
     """A Format from the fields of a FMT record, or None where they contradict each other (a damaged record)."""
     if not _NAME.fullmatch(name) or any(c not in CODES for c in codes):
