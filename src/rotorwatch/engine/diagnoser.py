@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base import memory
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
@@ -24,6 +25,7 @@ from rotorwatch.engine.motion.tick_table import Plan, Ticks, columns, joined, kn
 from rotorwatch.flight.vehicle import Vehicle
 
 ROOM = 512  # ticks in one call
+MANY = 8  # pieces whose memory is worth giving back before the next columns are joined
 
 
 class Judged(NamedTuple):
@@ -44,7 +46,9 @@ class Judged(NamedTuple):
         tables, columns = [one.table for one in parts], [list(x) for x in zip(*(one.out for one in parts), strict=True)]
         parts.clear()
         table = joined(tables)
-        tables.clear()
+        if len(tables) > MANY:
+            tables.clear()
+            memory.give_back()
         return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
 
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
+from rotorwatch.base.arrays import quantile
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.estimator.plant import ANSWER_S
@@ -112,7 +113,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     if where is None:
         return None
     highest = where.ticks.thrust[where.onset :, list(claim)].max(axis=1) if claim else np.zeros(0)
-    them = rivals(view.B.shape[1], claim, end_s, {q: float(np.quantile(highest, q)) for q in CAPS} if claim else None)
+    them = rivals(view.B.shape[1], claim, end_s, {q: quantile(highest, q) for q in CAPS} if claim else None)
     also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
     fits, said = compare(where, [r.how for r in them]), tuple(map(float, view.said(event.onset_s)))

@@ -94,7 +94,8 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     if dt not in TICKS_S:
         lengths = ", ".join(f"{t:g}" for t in TICKS_S)
         raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {lengths}.")
-    air = np.array((dynamics or {}).get("air", any_air()), float)
+    known = dynamics or {}
+    air = np.array(known["air"] if "air" in known else any_air(), float)
     arrays = {"B": B, "dt": np.array(dt), "air": air, **coaxial}
     if dynamics:
         return {**arrays, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}

@@ -54,7 +54,7 @@ def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Even
     members = np.array([[i in who for i in range(n)] for who in hyp.rotors])
     fault = np.asarray(hyp.fault)
     odds = np.asarray(out.log_odds)
-    best_fault, best_other = odds[:, fault].max(axis=1), odds[:, ~fault].max(axis=1)
+    best_fault, best_other = (odds.max(axis=1, where=some, initial=-np.inf) for some in (fault, ~fault))
     over = (best_fault > limit) & (best_fault > best_other - hypotheses.CLEAR)
     over &= (table.mode == JUDGE) & ~table.upset & (time > min(e.detected_s for e in known))
     for e in known:
@@ -63,13 +63,13 @@ def find(out, table: Ticks, hyp: Hypotheses, limit: float, events: Sequence[Even
                 over &= ~((time >= mark - 0.5) & (time <= mark + plant.USUAL_S))
         over &= ~((time >= e.onset_s) & (time <= e.detected_s))
     over &= ~knocked(time, events)
-    near = (odds > best_fault[:, None] - hypotheses.CLEAR) & fault
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(int)))
     found = []
     for a, b in zip(edges[::2], edges[1::2]):
         if (b - a) * table.dt < LASTS_S:
             continue
-        weight = near[a:b].sum(axis=0) @ members.astype(float)
+        near = (odds[a:b] > best_fault[a:b, None] - hypotheses.CLEAR) & fault
+        weight = near.sum(axis=0) @ members.astype(float)
         own = np.zeros(n, bool)
         for e in known:
             if e.onset_s <= time[b - 1] and (e.end_s is None or e.end_s >= time[a]):
