@@ -39,6 +39,7 @@ from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
 from rotorwatch.engine.events.decisions import CERTAIN, CREDIBLE
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
@@ -410,7 +411,7 @@ def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarr
     index = list(who)
     loss = np.clip(mean[index], 0.0, 1.0)
     sd = sd_of(loss, np.sqrt(np.diag(cov)[index]), B)
-    bounds = tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True))
+    bounds = tuple((max(0.0, float(v - WITHIN_95 * s)), min(1.0, float(v + WITHIN_95 * s))) for v, s in zip(loss, sd, strict=True))
     return tuple(float(v) for v in loss), bounds
 
 

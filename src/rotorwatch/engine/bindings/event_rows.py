@@ -24,14 +24,13 @@ from rotorwatch.engine.intake import deviations
 from rotorwatch.engine.intake.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.engine.motion.overrides import Override
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import JUDGE, ROOM, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, kind_of
 
 # 16-bit codes of unknown kinds, of output states and of causes: unique within the process.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
 COLUMNS = ("theta", "theta_sd", "active", "share", "gives", "onsets", "probability", "announced")
-ROOM = 512  # ticks in one call
 HINDSIGHT = "hindsight"  # source name of losses in the blind time, found afterwards
 
 
