@@ -24,7 +24,6 @@ from rotorwatch.case.in_flight import InFlight
 from rotorwatch.case.link_consistency import MEMORY_S, Consistency
 from rotorwatch.case.verdict import Answer, Bounds, Claims
 from rotorwatch.engine.bindings import event_rows, residual_evidence
-from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.diagnoser import Diagnoser, Judged, Written
 from rotorwatch.engine.driver import Driver, Piece
 from rotorwatch.engine.events.decisions import MATTERS
@@ -355,14 +354,12 @@ class Case:
     def _evidence(self, merged: Merged, found: Events, view: View | None) -> tuple[Events, list[Event]]:
         """The events, doubted where the steps of the trim are evidence against a rotor, and all open claims. view: None while the vehicle
         flies."""
-        done, tables, n = self.estimated, self.tables, self.B.shape[1]
+        tables = self.tables
         if not tables or self.unseen is None:
             return found, []
         end_s = float(tables[-1].time[-1])
         claims = list(witness.ask(Stage.OPEN, view)) if view is not None and self._from_takeoff else []
         claims += slow.suspected(self.grown)
-        if done is not None:
-            claims += residual_evidence.find(done.out, done.table, list_hypotheses(n), done.limit, found, self.B)
         if self.over:
             claims += residual_evidence.faint(merged.faint, found, end_s)
         if self._by_hover:
