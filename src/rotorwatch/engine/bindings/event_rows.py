@@ -132,17 +132,6 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray) -> np.ndarray:
     return out.reshape(theta.shape)
 
 
-def accuses(event: Event) -> bool:
-    """Return whether a loss accuses a rotor. A loss whose interval includes zero, and attributed to one set of rotors alone, is
-    only evidence."""
-    return bool(event.alternatives) or max(low for low, _ in event.interval) > 0.0
-
-
-def unexplained(losses: Iterable[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
-    """The losses that no overridden output explains."""
-    return tuple(e for e in losses if not any(definition.explains(o.onset_s, _end(o), e.onset_s) for o in overridden))
-
-
 class Report:
     """Falls and contacts of one vehicle with effectiveness B (4, n), tick by tick, and all events together."""
 

@@ -37,13 +37,3 @@ def knocked(time: np.ndarray, events: Sequence[Event]) -> np.ndarray:
         if e.kind == CONTACT:
             near |= (time >= e.onset_s - 0.5) & (time <= max(e.detected_s, e.end_s or 0.0) + plant.USUAL_S)
     return near
-
-
-def faint(losses: Sequence[Event], found: Sequence[Event], end_s: float) -> tuple[Event, ...]:
-    """Losses that accuse no rotor (`events.accuses`), except those explained by a knock among the events."""
-    knocks = [e.onset_s for e in found if e.kind == CONTACT]
-    return tuple(
-        claim(e.rotors, e.onset_s, end_s if e.end_s is None else e.end_s)
-        for e in losses
-        if not any(t - 0.5 <= e.onset_s <= t + plant.USUAL_S for t in knocks)
-    )
