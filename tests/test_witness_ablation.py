@@ -2,7 +2,10 @@
 
 import pytest
 
+from conftest import hexa_event
+from rotorwatch import airframes
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight import Flight
 from rotorwatch.toolkit import witness
 from rotorwatch_lab.campaign import plan, witness_ablation
 
@@ -27,7 +30,9 @@ def test_who_changes_events_or_the_view_is_heard():
         return before
 
     ones = {"quiet": lambda view, before: before, "adds": adds, "takes": lambda view, before: before[1:]}
-    events, view = (object(), object()), witness.View(None, None, (), (), None)
+    vehicle = airframes.named("ardupilot-quad-x")
+    view = witness.View(Flight("t", "", {}, 60.0), vehicle, (), (), vehicle.effectiveness())
+    events = hexa_event(onset_s=20.0), hexa_event(onset_s=30.0)
     for name, hear in ones.items():
         made = witness.Witness(name, witness.Stage.EVENTS, 0, hear)
         with pytest.MonkeyPatch.context() as patch:
