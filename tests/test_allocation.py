@@ -555,10 +555,3 @@ def test_outputs_range_from_none_to_all_or_over_the_pulse_widths_that_the_log_na
     assert ends("us", parameters={"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}) == (1100.0, 1900.0)
     fact = {"pwm_min": 1050.0, "pwm_max": 1950.0}
     assert ends("us", parameters={"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}, facts=fact) == (1050.0, 1950.0)
-
-
-def test_a_median_is_of_the_first_numbers():
-    rng = np.random.default_rng(1)
-    for count in range(1, 17):
-        values = rng.choice([0.0, 1.0, *rng.standard_normal(9)], 16)
-        assert deviations._median(values.tolist(), count) == np.median(values[:count])

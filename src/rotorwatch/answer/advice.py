@@ -12,7 +12,7 @@ from rotorwatch.engine.events.decisions import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState
 from rotorwatch.flight.kinds import CONTACT, DESYNC, LOST, REPORTED, Weight
 
-AFTER_S = 5.0  # after a blow, within which reports are its consequence
+AFTER_S = 5.0  # after a blow, or a flight with a loss of control, within which reports are its consequence
 
 # Inspections in the order of their worth: what takes a hand and an eye first, then what takes a tool.
 PARTS = {

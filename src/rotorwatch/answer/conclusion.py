@@ -32,7 +32,6 @@ NOT_A_ROTOR = {
 }
 LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # notices of no rotor in a headline: the first ones
-AFTER_S = 5.0  # after a flight with a loss of control, within which reports are its consequence
 ALIKE = 0.05  # bounds of rotors that differ by less point to none
 LANDED_S = 1.5
 REPEATS, REGULAR = 3, 0.15  # cut-outs of one rotor; share of their period by which each may differ
@@ -298,7 +297,7 @@ def _notices_beside(seen: Evidence, main: Event | None) -> list[Event]:
     if main is not None and main.means.accuses:
         notices = [e for e in notices if e.extra.get("trouble") != "motor"]
     if lost is not None:
-        over = next((b for a, b in seen.hops if a <= lost.onset_s <= b), np.inf) + AFTER_S
+        over = next((b for a, b in seen.hops if a <= lost.onset_s <= b), np.inf) + advice.AFTER_S
         notices = [e for e in notices if e.kind != REPORTED or not lost.onset_s <= e.onset_s <= over]
     if main is not None and main.kind == LOST:
         before = {cause["time_s"] for cause in main.extra.get("before", ())}

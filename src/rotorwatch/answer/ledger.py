@@ -39,7 +39,7 @@ import numpy as np
 
 from rotorwatch.answer import falls, slow
 from rotorwatch.answer.drift import Growth
-from rotorwatch.engine.bindings.event_rows import HINDSIGHT, Report, accuses, packed, shared, unexplained
+from rotorwatch.engine.bindings.event_rows import HINDSIGHT, Report, packed, shared
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.events import calls
 from rotorwatch.flight.diagnosis import Event
@@ -50,10 +50,9 @@ if TYPE_CHECKING:
 
 
 class Merged(NamedTuple):
-    """events: the answer's; faint: losses that name no rotor, kept as evidence; shared: outputs that left the mixer together."""
+    """events: the answer's; shared: outputs that left the mixer together."""
 
     events: tuple[Event, ...]
-    faint: tuple[Event, ...]
     shared: tuple[Event, ...] = ()
 
 
@@ -65,10 +64,8 @@ def merge(claims: Sequence[Event], report: Report, upsets: Sequence[Judged], n: 
     losses = slow.join(losses, grown)
     outputs = [c for c in claims if c.kind == OVERRIDE]
     known, together = report.events(losses, outputs), tuple(filter(shared, outputs))
-    open_ = unexplained(losses, [*(e for e in known if e.kind == OVERRIDE), *together])
     others = [c for c in claims if not c.means.weakens and c.kind != OVERRIDE]
-    events_ = falls.events(upsets, joined(known, others), n)
-    return Merged(events_, tuple(e for e in open_ if not accuses(e)), together)
+    return Merged(falls.events(upsets, joined(known, others), n), together)
 
 
 def joined(known: Iterable[Event], claims: Iterable[Event]) -> tuple[Event, ...]:

@@ -9,6 +9,7 @@ from rotorwatch.answer import context
 from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.hypothesis_list import Hypotheses
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, Ticks
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Trace
@@ -26,7 +27,7 @@ def compose(
     effectiveness; found: events; spells: of evidence that no event explains (`residual_evidence`); states: of the rotors at the end."""
     judging = table.mode == JUDGE
     sd = event_rows.sd_of(out.theta, out.theta_sd, B)
-    spread = np.where(out.theta > 0, 1.96 * sd, 1.96 * np.where(judging[:, None], out.detectable, 0.0))
+    spread = np.where(out.theta > 0, WITHIN_95 * sd, WITHIN_95 * np.where(judging[:, None], out.detectable, 0.0))
     odds = {name: out.log_odds[:, i] for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
     odds["best pair"] = out.log_odds.max(axis=1, where=np.array(hyp.kinds) == "pair", initial=-np.inf)
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]

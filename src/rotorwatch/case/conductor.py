@@ -23,8 +23,7 @@ from rotorwatch.case.estimated import Estimated
 from rotorwatch.case.in_flight import InFlight
 from rotorwatch.case.link_consistency import MEMORY_S, Consistency
 from rotorwatch.case.verdict import Answer, Bounds, Claims
-from rotorwatch.engine.bindings import event_rows, residual_evidence
-from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.diagnoser import Diagnoser, Judged, Written
 from rotorwatch.engine.driver import Driver, Piece
 from rotorwatch.engine.events.decisions import MATTERS
@@ -294,12 +293,12 @@ class Case:
         until = np.inf if self.over and doubts else self.consistency.until
         if view is None:
             found, opened = self._in_flight.reconsidered(found, self.now, self.air, self._view)
-            found, evidence = self._evidence(merged, found, view)
+            found, evidence = self._evidence(found, view)
             found = _of(hop, ledger.believed(found, until))
             return Claims(found, _in(hop, ledger.open_claims((*opened, *evidence), found)), doubts)
         view.consistent, view.events, before = not doubts, found, found
         view.warnings += warnings
-        found, evidence = self._evidence(merged, found, view)
+        found, evidence = self._evidence(found, view)
         tell(0.7)
         view.open = ledger.open_claims(evidence, found)
         if view.consistent:
@@ -352,19 +351,15 @@ class Case:
         doubts += () if self.hovers else aerobatic.lacks(self.flight)
         return doubts, [text for text, lasts in together if not lasts]
 
-    def _evidence(self, merged: Merged, found: Events, view: View | None) -> tuple[Events, list[Event]]:
+    def _evidence(self, found: Events, view: View | None) -> tuple[Events, list[Event]]:
         """The events, doubted where the steps of the trim are evidence against a rotor, and all open claims. view: None while the vehicle
         flies."""
-        done, tables, n = self.estimated, self.tables, self.B.shape[1]
+        tables = self.tables
         if not tables or self.unseen is None:
             return found, []
         end_s = float(tables[-1].time[-1])
         claims = list(witness.ask(Stage.OPEN, view)) if view is not None and self._from_takeoff else []
         claims += slow.suspected(self.grown)
-        if done is not None:
-            claims += residual_evidence.find(done.out, done.table, list_hypotheses(n), done.limit, found, self.B)
-        if self.over:
-            claims += residual_evidence.faint(merged.faint, found, end_s)
         if self._by_hover:
             found = self.unseen.doubted(found)
             claims += self.unseen.suspected(found, end_s)

@@ -12,6 +12,7 @@ from rotorwatch.answer.unjudged import Unjudged
 from rotorwatch.base.arrays import median
 from rotorwatch.case.estimated import Estimated
 from rotorwatch.engine.bindings import event_rows
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.tick_table import JUDGE
 from rotorwatch.flight.diagnosis import Event
@@ -134,7 +135,7 @@ def _hidden(done: Estimated, steps: unseen.Unseen, hovers: bool) -> tuple[np.nda
     if not judged.any():
         return np.ones(out.theta.shape[1]), 1.0
     if not hovers:  # its bound covers all blocks so far; two opposite rotors at once are not tested
-        return np.minimum(1.0, 1.96 * out.detectable[judged][-1]), 0.0
-    measured = 1.96 * median(out.detectable[judged], axis=0)
+        return np.minimum(1.0, WITHIN_95 * out.detectable[judged][-1]), 0.0
+    measured = WITHIN_95 * median(out.detectable[judged], axis=0)
     single = np.minimum(1.0, np.maximum(measured, steps.losses()))
     return single, min(1.0, steps.pair(event_rows.opposites(steps.B)))

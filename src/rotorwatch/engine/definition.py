@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base import medians
 from rotorwatch.base.arrays import distinct
 from rotorwatch.base.compiling.running import Definition, Rows
 from rotorwatch.base.compiling.shipped import files_in
@@ -38,7 +39,9 @@ from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer
 from rotorwatch.engine.intake import craft as vehicle
 from rotorwatch.flight import Flight, Message
 
-FRONT = (decisions, vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words, texts)
+FRONT = (
+    medians, decisions, vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words, texts,
+)  # fmt: skip
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
@@ -64,6 +67,7 @@ ENGINE = Definition(
     SIZES,
     [
         *(file for folder in ("intake", "estimator", "drift", "events") for file in files_in(f"engine/{folder}")),
+        "base/medians.py",
         "engine/engine.py",
         "engine/feed.py",
     ],

@@ -21,6 +21,7 @@ from rotorwatch.base import memory
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import Samples, pieces
 from rotorwatch.engine.diagnoser import Checkpoint, Diagnoser, Judged, Written
+from rotorwatch.engine.intake.sense import SUM_S
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.engine.motion.allocation import Spans
@@ -35,7 +36,6 @@ FORGET_S = 1.0  # between two removals of old samples
 LOOK_BACK_S = 8.0  # of samples before a checkpoint: the longest look back is 2 s; late samples come on top
 REPLAY_S = 120.0  # shortest rollback that is always possible
 FIRST, FIRST_S, LEAST = 64, 20.0, 20  # commands needed to plan a flight, or so long and so many
-SUM_S = 1e-9  # rounding of two sums of the same times: a tick must not wait for the next sample because of it
 CHANGED = 1.2  # factor by which a sampling rate must change for a new plan
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from rotorwatch import airframes
 from rotorwatch.airframes import ardupilot, px4
 from rotorwatch.answer import conclusion
+from rotorwatch.base import medians
 from rotorwatch.base.compiling import running
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine import driver
@@ -85,8 +86,8 @@ def sources() -> dict[str, str]:
     """File name -> text of the library."""
     config, header, source = ENGINE.translated()
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
-    lone = Translation([lone_values])
-    texts |= {"rw_lone.h": lone.header("Lone values.", name="lone"), "rw_lone.c": lone.source("rw_lone.h")}
+    lone = Translation([lone_values], given=[Translation([medians])])
+    texts |= {"rw_lone.h": lone.header("Lone values.", ["rw_engine.h"], "lone"), "rw_lone.c": lone.source("rw_lone.h")}
     return {**texts, "rw_config.h": config, "rw_engine.h": header, "rw_engine.c": source, "rw_tables.h": tables()}
 
 

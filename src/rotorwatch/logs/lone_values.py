@@ -6,6 +6,7 @@ Tables have n rows in the order of their times, and `width` columns, row by row.
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import NAN, REAL, Flags, Ints, Real, Reals, Time, Times, isnan, local, real
+from rotorwatch.base.medians import median, ranked
 
 SCALES = 8.0
 AGREE = 3.0
@@ -132,24 +133,13 @@ def _place(n: int, i: int, offset: int) -> int:
     return min(max(j, 1), n - 2)
 
 
-def _sorted(values: Reals, count: int) -> None:
-    for i in range(1, count):
-        value = values[i]
-        j = i
-        while j > 0 and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
-
-
 def _around_valid(width: int, c: int, rough: Reals, m: int, at: Ints, j: int) -> Real:
     """Usual residual around the j-th valid sample."""
     some = local(REAL, 2 * (AHEAD - 2))
     for k in range(AHEAD - 2):
         some[k] = rough[at[_place(m, j, k - AHEAD)] * width + c]
         some[AHEAD - 2 + k] = rough[at[_place(m, j, k + 3)] * width + c]
-    _sorted(some, 2 * (AHEAD - 2))
-    return some[AHEAD - 2]
+    return ranked(some, 2 * (AHEAD - 2), AHEAD - 2)
 
 
 def _before_valid(width: int, c: int, rough: Reals, m: int, at: Ints, j: int) -> Real:
@@ -157,8 +147,7 @@ def _before_valid(width: int, c: int, rough: Reals, m: int, at: Ints, j: int) ->
     some = local(REAL, BEFORE - 2)
     for k in range(BEFORE - 2):
         some[k] = rough[at[_place(m, j, k - BEFORE)] * width + c]
-    _sorted(some, BEFORE - 2)
-    return (some[BEFORE // 2 - 2] + some[BEFORE // 2 - 1]) / 2.0
+    return median(some, BEFORE - 2)
 
 
 def _around(width: int, c: int, rough: Reals, n: int, i: int) -> Real:
@@ -167,8 +156,7 @@ def _around(width: int, c: int, rough: Reals, n: int, i: int) -> Real:
     for k in range(AHEAD - 2):
         some[k] = abs(rough[_place(n, i, k - AHEAD) * width + c])
         some[AHEAD - 2 + k] = abs(rough[_place(n, i, k + 3) * width + c])
-    _sorted(some, 2 * (AHEAD - 2))
-    return some[AHEAD - 2]
+    return ranked(some, 2 * (AHEAD - 2), AHEAD - 2)
 
 
 def _before(width: int, c: int, rough: Reals, n: int, i: int) -> Real:
@@ -176,8 +164,7 @@ def _before(width: int, c: int, rough: Reals, n: int, i: int) -> Real:
     some = local(REAL, BEFORE - 2)
     for k in range(BEFORE - 2):
         some[k] = abs(rough[_place(n, i, k - BEFORE) * width + c])
-    _sorted(some, BEFORE - 2)
-    return (some[BEFORE // 2 - 2] + some[BEFORE // 2 - 1]) / 2.0
+    return median(some, BEFORE - 2)
 
 
 def _calm(n: int, width: int, c: int, time: Times, x: Reals, valid: Flags, size: Reals, calm: Reals) -> None:

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base import medians
 from rotorwatch.base.arrays import median
 from rotorwatch.base.compiling.running import Definition
 from rotorwatch.flight import Flight, Signal
@@ -30,7 +31,7 @@ from rotorwatch.logs import esc_columns, lone_values, series
 from rotorwatch.logs.lone_values import BEFORE, FAR
 from rotorwatch.logs.series import Impossible
 
-LONE = Definition("lone", (lone_values,), (), ["logs/lone_values.py"])
+LONE = Definition("lone", (medians, lone_values), (), ["base/medians.py", "logs/lone_values.py"])
 JUMPS = 0.4  # share of the limit for lone values beyond which another value jumps with it
 ALONE = 0.125  # ... and the same as a share of the lone value's deviation
 ALONE_IN_AXIS = 0.33  # ... among motors, which share every error of roll, pitch, yaw and thrust

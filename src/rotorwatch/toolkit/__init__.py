@@ -11,7 +11,7 @@ flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUD
                 vehicle can give; aerobatic: vehicles that do not hover; esc_telemetry
 estimator       program: the default estimator over ticks, TickOutput; list_hypotheses, rotor_sets; the states of its plant and the prior
                 of losses, in capitals; ENGINE, its compiled definition, and DEFINITIONS, the modules that hold its constants
-comparison      odds: explanations of a claim, their weights and probabilities; witness: all that are asked, and all but one
+comparison      odds: explanations of a claim, their weights and probabilities; witness: all that are asked, and others in their place
 excitation      excitation_response: the answer to it; null_space, ExcitationNoise, noise_covariance
 export, fleet   export_default; Exported and saved, a C project in a folder; Store, assess, fleet_judge, prognosis
 

@@ -34,11 +34,11 @@ from rotorwatch.base.arrays import median
 from rotorwatch.engine.bindings.event_rows import ESTIMATOR, read, sd_of
 from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, lower_rotors
 from rotorwatch.engine.bindings.program import estimate
-from rotorwatch.engine.bindings.residual_evidence import TRIM_S, TRIM_SD
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
 from rotorwatch.engine.events.decisions import CERTAIN, CREDIBLE
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
@@ -58,6 +58,8 @@ EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave un
 LEAST_LOSS = 0.1  # ... and the smallest loss in it
 OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
 CONTAINS = 0.1  # ... of one that contains a named one: the smaller one is sufficient
+TRIM_S = 2.0  # averaging time of the trim at the beginning of a flight and before an excitation
+TRIM_SD = np.array([0.05, 0.05, 0.15, 0.2])  # uncertainty of the commanded wrench of trim, in hover thrusts of one rotor
 AFTER_S = 2.0  # for which an excitation still shows in the evidence of jumps
 DELAYS_S = (0.0, 0.02, 0.04, 0.07, 0.1)  # of a rotor, beyond the lag assumed for the ticks
 
@@ -410,7 +412,7 @@ def _losses(who: tuple[int, ...], mean: np.ndarray, cov: np.ndarray, B: np.ndarr
     index = list(who)
     loss = np.clip(mean[index], 0.0, 1.0)
     sd = sd_of(loss, np.sqrt(np.diag(cov)[index]), B)
-    bounds = tuple((max(0.0, float(v - 1.96 * s)), min(1.0, float(v + 1.96 * s))) for v, s in zip(loss, sd, strict=True))
+    bounds = tuple((max(0.0, float(v - WITHIN_95 * s)), min(1.0, float(v + WITHIN_95 * s))) for v, s in zip(loss, sd, strict=True))
     return tuple(float(v) for v in loss), bounds
 
 

@@ -117,7 +117,7 @@ def _demand(motors: Signal, vehicle: Vehicle) -> np.ndarray:
     curve, B = vehicle.curve, vehicle.effectiveness()[:3]
     share = ((motors.values - curve.u_min) / (curve.u_max - curve.u_min)).clip(-0.2, 1.2)
     pattern = B / np.maximum(np.abs(B).max(axis=1, keepdims=True), 1e-9)
-    return (share - share.mean(axis=0)) @ pattern.T / (pattern**2).sum(axis=1)
+    return (share - share.mean(axis=0)) @ pattern.T / np.maximum((pattern**2).sum(axis=1), 1e-9)  # a tricopter has no yaw
 
 
 def claims(flight: Flight, vehicle: Vehicle, air: Spans, until: float) -> Iterator[Event]:

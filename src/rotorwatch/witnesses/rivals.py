@@ -199,9 +199,8 @@ def _hear(view: View, events: Events) -> Events:
         event, claim = _confirmed(view, e, events)
         kept += event
         open_ += claim
-    accused = bool(open_) or any(e.means.accuses for e in kept)
     for c in view.open:
-        if c.kind != EVIDENCE or not (view.stands(c.onset_s) or (_residual(c) and not accused)):
+        if c.kind != EVIDENCE or not view.stands(c.onset_s):
             event, claim = _settled(view, c, kept)
             kept += event
             open_ += claim
@@ -256,14 +255,9 @@ def _opened(event: Event, probability: float) -> Event:
     return residual_evidence.claim(event.rotors, event.onset_s, until, event.interval, probability)
 
 
-def _residual(claim: Event) -> bool:
-    """True for evidence that an event has left unexplained: beside a weak rotor the model is too poor to compare it."""
-    return claim.source.name == residual_evidence.RESIDUAL.name
-
-
 def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Event], list[Event]]:
     """(the event that an open claim turns out to be, the claim where it stays open)."""
-    if claim.kind != EVIDENCE or _residual(claim):
+    if claim.kind != EVIDENCE:
         return [], [claim]
     found, decision = _weighed(view, claim, events, False)
     who = None if found is None else found.likeliest(claim.rotors)

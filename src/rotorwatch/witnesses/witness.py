@@ -27,7 +27,6 @@ from rotorwatch.flight.vehicle import Vehicle
 
 GROUP = "rotorwatch.witnesses"
 Events = tuple[Event, ...]
-_left_out: set[str] = set()
 FALLS_S = 8.0  # before a loss of control: what the controller does then is no landing
 SPINS_S = 3.0  # after a loss, within which the spin begins that it causes
 
@@ -136,6 +135,9 @@ class Witness(NamedTuple):
     due: Callable[[Spans, float, float], bool] | None = None
 
 
+_changes: list[Callable[[Witness], Witness | None]] = []
+
+
 def adding(claims: Callable[[View], Iterable[Event]]) -> Callable[[View, Events], Events]:
     """`Witness.hear` of a witness that only adds."""
     return lambda view, before: (*before, *claims(view))
@@ -145,17 +147,19 @@ def registered() -> tuple[Witness, ...]:
     """All witnesses in the order in which they are asked: those of this folder, and of other packages by entry points of the group
     `rotorwatch.witnesses`, each a module with WITNESSES."""
     found = _registered(tuple(discovery.offered(GROUP)))
-    return tuple(w for w in found if w.name not in _left_out) if _left_out else found
+    for change in _changes:
+        found = tuple(other for w in found if (other := change(w)) is not None)
+    return found
 
 
 @contextmanager
-def without(name: str) -> Iterator[None]:
-    """Context in which a witness is not asked, to measure what it changes."""
-    _left_out.add(name)
+def changed(change: Callable[[Witness], Witness | None]) -> Iterator[None]:
+    """Context in which `change` of every witness is asked in its place (None: nobody), to measure what they contribute."""
+    _changes.append(change)
     try:
         yield
     finally:
-        _left_out.discard(name)
+        _changes.remove(change)
 
 
 @functools.cache

@@ -24,14 +24,13 @@ from rotorwatch.engine.intake import deviations
 from rotorwatch.engine.intake.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.engine.motion.overrides import Override
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import JUDGE, ROOM, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, kind_of
 
 # 16-bit codes of unknown kinds, of output states and of causes: unique within the process.
 _NUMBERS: dict[Any, int] = defaultdict(iter(range(1 << 8, 1 << 15)).__next__)
 COLUMNS = ("theta", "theta_sd", "active", "share", "gives", "onsets", "probability", "announced")
-ROOM = 512  # ticks in one call
 HINDSIGHT = "hindsight"  # source name of losses in the blind time, found afterwards
 
 
@@ -131,17 +130,6 @@ def sd_of(theta: np.ndarray, sd: np.ndarray, B: np.ndarray) -> np.ndarray:
     flat, out = (np.ascontiguousarray(theta.ravel()), np.ascontiguousarray(sd.ravel())), np.empty(theta.size)
     ENGINE.call(losses.spread, vehicle(B), theta.size, *flat, out)
     return out.reshape(theta.shape)
-
-
-def accuses(event: Event) -> bool:
-    """Return whether a loss accuses a rotor. A loss whose interval includes zero, and attributed to one set of rotors alone, is
-    only evidence."""
-    return bool(event.alternatives) or max(low for low, _ in event.interval) > 0.0
-
-
-def unexplained(losses: Iterable[Event], overridden: Sequence[Event]) -> tuple[Event, ...]:
-    """The losses that no overridden output explains."""
-    return tuple(e for e in losses if not any(definition.explains(o.onset_s, _end(o), e.onset_s) for o in overridden))
 
 
 class Report:

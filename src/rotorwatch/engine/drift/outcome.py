@@ -7,6 +7,7 @@ no trace.
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import LASTS, REAL, SMALL, TIME, Real, Small, Struct, Time, array, copy, exp, local, log, real, sqrt
+from rotorwatch.base.medians import median
 from rotorwatch.engine.drift.drift_sizes import AMOUNTS_EACH, AMOUNTS_TURNED, BLOCKS, LOSSES_EACH
 from rotorwatch.engine.drift.stretch import Stretch
 from rotorwatch.engine.drift.weighing import AMOUNTS, GROWS_S, NEVER, RATIO, SIZES, Sum, Weighing
@@ -87,19 +88,13 @@ class Growth(Struct):
 
     def left(self, after: Time) -> Real:
         """Loss shown by the trim after a time, s; 0 with too few blocks after it."""
-        ordered = local(REAL, BLOCKS)
+        later = local(REAL, BLOCKS)
         count = 0
         for i in range(self.blocks):
             if self.time[i] > after:
-                j = count
-                while j > 0 and ordered[j - 1] > self.lost[i]:
-                    ordered[j] = ordered[j - 1]
-                    j -= 1
-                ordered[j] = self.lost[i]
+                later[count] = self.lost[i]
                 count += 1
-        if count < LATER:
-            return 0.0
-        return ordered[count // 2] if count % 2 == 1 else 0.5 * (ordered[count // 2 - 1] + ordered[count // 2])
+        return 0.0 if count < LATER else median(later, count)
 
     def certain(self) -> bool:
         """Return whether it is certainly of one single rotor."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, SMALL, Real, Reals, Small, Struct, Time, array, local, real
+from rotorwatch.base.compiling.structs import REAL, SMALL, Real, Small, Struct, Time, array, local, real
+from rotorwatch.base.medians import median
 from rotorwatch.engine.drift.drift_sizes import BLOCKS, STEADY
 from rotorwatch.engine.drift.time_blocks import Blocks
 from rotorwatch.engine.intake.craft import Vehicle
@@ -58,11 +59,14 @@ class Stretch(Struct):
                 for k in range(v.rotors):
                     self.share[k][place] = block.thrust[k] / mean
                 self.count += 1
+        scatter = local(REAL, BLOCKS)
         for j in range(self.count):
             self.white[j] = 1.0
             self.steady[LEVEL][j] = 1.0
         for a in range(3):
-            usual = max(_median(self.steady[a], self.count), 1e-12)
+            for j in range(self.count):
+                scatter[j] = self.steady[a][j]
+            usual = max(median(scatter, self.count), 1e-12)
             for j in range(self.count):
                 self.white[j] = max(self.white[j], self.steady[a][j] / usual)
             self._moves(v, a)
@@ -94,15 +98,3 @@ class Stretch(Struct):
                     t0 += torque[i]
                     t1 += torque[i] * apart
             self.steady[axis][j] = torque[j] - (m2 * t0 - m1 * t1) / max(m0 * m2 - m1 * m1, 1e-9)
-
-
-def _median(x: Reals, count: int) -> Real:
-    """Median of the first `count` of x."""
-    ordered = local(REAL, BLOCKS)
-    for i in range(count):
-        j = i
-        while j > 0 and ordered[j - 1] > x[i]:
-            ordered[j] = ordered[j - 1]
-            j -= 1
-        ordered[j] = x[i]
-    return ordered[count // 2] if count % 2 == 1 else 0.5 * (ordered[count // 2 - 1] + ordered[count // 2])

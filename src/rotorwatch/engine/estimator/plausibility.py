@@ -15,6 +15,7 @@ from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THRUST, USUAL_S, Inputs, Plant
+from rotorwatch.engine.events.losses import CANCELS
 
 # Both tests tolerate a standard deviation of this flight's disturbances, and at least the slack in calm air.
 DEMAND_SHARE, DEMAND_SLACK = 0.25, 0.05
@@ -24,7 +25,6 @@ INFLOW = 0.1
 # Lower limit of a command in divisions, hover thrusts; share of the mean command below which the controller has cut a rotor.
 LEAST_THRUST, CUT_SHARE = 0.1, 0.5
 LIMIT_S = 2.0  # time constant with which a rotor's saturation is forgotten
-CANCELS = 0.05  # units of B below which the sum of two rotors' torques counts as 0
 
 
 class Missing(Struct):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import NAN, REAL, Flags, Ints, Real, Reals, Time, Times, isnan, local, real
+from rotorwatch.base.medians import median
 from rotorwatch.engine.intake.sizes import ROTORS
 from rotorwatch.engine.intake.ticks import GROUND, JUDGE
 
@@ -51,7 +52,7 @@ def on_ground(
         climb = 0.0 if isnan(axial[i]) else axial[i]
         known = valid[i] and not isnan(load[i])
         carried[2 * i] = (total / real(rotors) - air_effect * climb) / max(load[i], 0.3) if known else NAN
-        carried[2 * i + 1] = (_median(ordered, rotors) - air_effect * climb) / max(load[i], 0.3) if known else NAN
+        carried[2 * i + 1] = (median(ordered, rotors) - air_effect * climb) / max(load[i], 0.3) if known else NAN
         if mode[i] == JUDGE and not isnan(carried[2 * i]):
             rows[count] = i
             count += 1
@@ -61,7 +62,7 @@ def on_ground(
     middle = _usual(carried, rows, 0, count, 1, some)
     for i in range(count):
         some[i] = hover[rows[i]]
-    stands = STANDS * _median(some, count)
+    stands = STANDS * median(some, count)
     first = 0
     while first < n:
         last = first + 1
@@ -160,38 +161,4 @@ def _usual(carried: Reals, rows: Ints, first: int, last: int, column: int, some:
     """Median of what is carried in the rows from first to last, exclusive."""
     for i in range(first, last):
         some[i - first] = carried[2 * rows[i] + column]
-    return _median(some, last - first)
-
-
-def _median(x: Reals, n: int) -> Real:
-    """Median of the first n numbers, which are reordered."""
-    upper = _ranked(x, n, n // 2)
-    return upper if n % 2 == 1 else 0.5 * (_ranked(x, n, n // 2 - 1) + upper)
-
-
-def _ranked(x: Reals, n: int, k: int) -> Real:
-    """The k-th smallest of the first n numbers, which are reordered."""
-    low = 0
-    high = n - 1
-    while low < high:
-        pivot = x[low + (high - low) // 2]
-        i = low
-        j = high
-        while i <= j:
-            while x[i] < pivot:
-                i += 1
-            while x[j] > pivot:
-                j -= 1
-            if i <= j:
-                swapped = x[i]
-                x[i] = x[j]
-                x[j] = swapped
-                i += 1
-                j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
-            low = i
-        else:
-            return x[k]
-    return x[k]
+    return median(some, last - first)

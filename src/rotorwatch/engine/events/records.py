@@ -19,6 +19,7 @@ from rotorwatch.base.compiling.structs import (
     local,
     reset,
 )
+from rotorwatch.base.medians import ranked
 from rotorwatch.engine.intake.sizes import HYPOTHESES, PAIRS, PLACES, RECORDS, ROTORS, TOGETHER
 
 ESTIMATES = 16  # number of evenly spaced estimates from which the size of a loss that is over is computed
@@ -135,18 +136,15 @@ class Course(Struct):
 
     def middle(self, last: int) -> int:
         """Index of the median estimate (the lower one of an even number) up to the tick `last`; -1 if there is none."""
-        ordered = local(REAL, ESTIMATES)
+        some = local(REAL, ESTIMATES)
         count = 0
         for i in range(self.count):
             if i == 0 or self.tick[i] <= last:
-                j = count
-                while j > 0 and ordered[j - 1] > self.theta[i]:
-                    ordered[j] = ordered[j - 1]
-                    j -= 1
-                ordered[j] = self.theta[i]
+                some[count] = self.theta[i]
                 count += 1
+        middle = ranked(some, count, (count - 1) // 2) if count > 0 else 0.0
         for i in range(count):
-            if not (self.theta[i] < ordered[(count - 1) // 2] or self.theta[i] > ordered[(count - 1) // 2]):
+            if not (self.theta[i] < middle or self.theta[i] > middle):
                 return i
         return -1
 

@@ -60,7 +60,7 @@ _LYING_S = 1.0
 _STILL = 0.5  # rad/s: faster rotation excludes resting on the ground
 _BLOW = 1.2 * G0  # lateral specific force, or half of it downwards, beyond what rotors can produce: from the ground
 _LEVER_M = 0.05  # of an accelerometer from the axis of a spin: its centripetal force is no blow
-_BLOW_S = 3.0  # a shock this long before the end of a flight was the touch-down or the crash
+BLOW_S = 3.0  # a shock this long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
 _FRESH_S = 1.0  # age beyond which a measurement is unknown
 
@@ -373,7 +373,7 @@ class Airborne(Struct):
         if end >= LASTS:
             return
         end = min(end, self.rest_since)
-        if end - self.last_blow <= _BLOW_S:
+        if end - self.last_blow <= BLOW_S:
             end = min(end, self.first_blow)
         self.flying = False
         self.since = max(end, self.since)

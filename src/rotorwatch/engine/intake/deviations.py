@@ -32,6 +32,7 @@ from rotorwatch.base.compiling.structs import (  # fmt: skip
     reset,
     sqrt,
 )
+from rotorwatch.base.medians import median
 from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.mixer import FLYING, NOISE_SD, PART, Comparison
 from rotorwatch.engine.intake.sizes import OVERRIDES, RECENT, ROTORS
@@ -159,7 +160,7 @@ class Deviations(Struct):
             mean_thrust += c.thrust[k]
         mean_demanded /= real(v.rotors)
         mean_thrust /= real(v.rotors)
-        flying = airborne and _median(ordered, v.rotors) > FLYING
+        flying = airborne and median(ordered, v.rotors) > FLYING
         _single(v.rotors, c, interior, deviation, known)
         fits = flying
         whole = True
@@ -273,7 +274,7 @@ class Deviations(Struct):
             interior = low + 0.02 * span < output[k] < low + 0.98 * span
             # Below the minimum: no mixer demands that. At the minimum, where outputs have nothing below it: no quad flies on with a rotor
             # at rest and the others off their limits (with more rotors, one opposite a dead one rests), unless the mixer asked for that.
-            flown = inside and _median(others, count) > 2.0 * FLYING
+            flown = inside and median(others, count) > 2.0 * FLYING
             above = output[k] > low + 0.01 * span or not inside
             below = flown and output[k] < low - 0.01 * span
             idle = v.rotors == 4 and v.rests_at_minimum and flown and between and output[k] <= low + 0.002 * span
@@ -451,18 +452,6 @@ def _before(a: Override, b: Override) -> bool:
     return a.rotor < b.rotor or (a.rotor == b.rotor and a.way < b.way)
 
 
-def _median(x: Reals, count: int) -> Real:
-    """Median of the first count > 0 numbers; sorts them."""
-    for i in range(1, count):
-        value = x[i]
-        j = i
-        while j > 0 and x[j - 1] > value:
-            x[j] = x[j - 1]
-            j -= 1
-        x[j] = value
-    return x[count // 2] if count % 2 == 1 else 0.5 * (x[count // 2 - 1] + x[count // 2])
-
-
 def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known: Flags) -> None:
     """Deviation of each output from the mixer on its own; known: whether it can be evaluated.
 
@@ -515,7 +504,7 @@ def _against_others(rotors: int, c: Comparison, share: Real, interior: Flags, de
         deviation[k] = 0.0
         agreed[k] = False
         if count >= 2:
-            common = _median(rest, count)
+            common = median(rest, count)
             for j in range(rotors):
                 off = c.thrust[j] - min(max(demanded[j] + common, 0.0), c.top)
                 if j == k:

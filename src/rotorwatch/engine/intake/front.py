@@ -8,7 +8,7 @@ up to some seconds.
 from __future__ import annotations
 
 from rotorwatch.base.compiling.structs import FLAG, LASTS, REAL, Real, Reals, Struct, Time, array, copy, embedded, isnan, local, sqrt
-from rotorwatch.engine.intake.airborne import Airborne
+from rotorwatch.engine.intake.airborne import BLOW_S, Airborne
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.deviations import Deviations
 from rotorwatch.engine.intake.mixer import Comparison, Mixer, curve
@@ -23,7 +23,7 @@ VOLTAGE, OUTPUTS, CONTROL, GYRO, ACCEL, VELOCITY, STATE, ATTITUDE, THRUSTS, RATE
 HELD_S = 0.15
 """Outputs older than this are not the present command where the rate controller has demanded something else since."""
 
-_LYING_S, _BLOW_S = 0.5, 3.0  # of airborne: how far an end may lie before the evidence of it
+_LYING_S = 0.5  # how far an end may lie before the evidence of it
 
 
 class Front(Struct):
@@ -202,7 +202,7 @@ class Front(Struct):
             return LASTS
         begin = min(self.air.low_since, self.air.rest_since)
         begin = min(begin, LASTS if self.air.lying_since >= LASTS else self.air.lying_since - _LYING_S)
-        if min(begin, self.now) - self.air.last_blow <= _BLOW_S:  # an end soon after a shock is moved to the shock
+        if min(begin, self.now) - self.air.last_blow <= BLOW_S:  # an end soon after a shock is moved to the shock
             begin = min(begin, self.air.first_blow)
         return begin
 

@@ -27,6 +27,7 @@ from rotorwatch.base.compiling.structs import (  # fmt: skip
     reset,
 )
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.intake.airborne import GAP_S
 from rotorwatch.engine.intake.contact import Vibration
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import LEVELS, MOTION_SAMPLES, ROTORS, WAITING
@@ -34,7 +35,6 @@ from rotorwatch.engine.intake.sizes import LEVELS, MOTION_SAMPLES, ROTORS, WAITI
 SIDE_S = 0.5  # averaging time of side forces: they change as slowly as speed and wind, and vibration is stronger
 BEFORE_S = 0.5  # reference time for vibration
 LATE_S = 0.9  # motion that is this late is not awaited, where it is sampled often enough: less than the second after lift-off
-GAP_S = 4.0  # without any command: in a longer gap only this much at either end makes ticks
 NO_COMMAND_S = 0.2  # after a tick: no command in it
 SUM_S = 1e-9  # rounding of two sums of the same times: a tick must not wait for the next sample because of it
 FRESH_S = 1.0  # velocity and attitude older than this, or apart by more, give no airspeed

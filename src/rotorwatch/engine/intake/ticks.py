@@ -6,7 +6,8 @@ then kept for that flight. All frames body FRD.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, LASTS, NAN, REAL, Real, Reals, Struct, Time, array, embedded, real
+from rotorwatch.base.compiling.structs import FLAG, LASTS, NAN, REAL, Real, Struct, Time, array, embedded, real
+from rotorwatch.base.medians import median
 from rotorwatch.engine.intake.contact import Contact, Shove, Touch
 from rotorwatch.engine.intake.craft import THRUST, YAW, Vehicle
 from rotorwatch.engine.intake.sense import Plan, Sensed
@@ -63,7 +64,7 @@ class Ticks(Struct):
     contact = embedded(Contact)
     flight: Time = LASTS  # s, start of the flight whose first second is in progress; LASTS without
     hop: Time = -LASTS  # s, start of the flight of the last tick
-    settling = array(REAL, SETTLING)  # share of full thrust over load factor, sorted
+    settling = array(REAL, SETTLING)  # share of full thrust over load factor
     hover: Real = 1.0  # share of full thrust at hover
     flown: int = 0  # ticks with commands in this flight
     learned: int = -1  # ticks of controlled flight since the last contact of this flight, -1 without one
@@ -83,8 +84,8 @@ class Ticks(Struct):
         if not row.some or not total > 0.0 or not start <= row.when < start + HOVER_LEARN_S or self.hover_samples == SETTLING:
             return
         load = max(0.5, min(2.0, row.load)) if row.load_ok else 1.0
+        self.settling[self.hover_samples] = total / real(v.rotors) / load
         self.hover_samples += 1
-        _insert(self.settling, self.hover_samples, total / real(v.rotors) / load)
 
     def assemble(self, v: Vehicle, p: Plan, row: Sensed, start: Time, out: Made) -> None:
         """Make a tick from a row, in order, on the ground too. start: of its flight (time >= start + 1 s and when <= its end), else
@@ -156,11 +157,11 @@ class Ticks(Struct):
         """Set the hover thrust for a new flight."""
         level = p.hover
         if not level > 0.0 and self.hover_samples > 0:
-            level = _middle(self.settling, self.hover_samples)
+            level = median(self.settling, self.hover_samples)
         if not level > 0.0:  # no command in its first second
             for k in range(v.rotors):
-                _insert(self.settling, k + 1, row.share[k])
-            level = _middle(self.settling, v.rotors)
+                self.settling[k] = row.share[k]
+            level = median(self.settling, v.rotors)
         self.hover = max(level, LEAST_HOVER)
         self.flight = LASTS
 
@@ -188,17 +189,3 @@ class Ticks(Struct):
         shove.fresh = fresh
         shove.accelerometer = p.accel
         self.contact.tick(v, shove, p.before, out.touch)
-
-
-def _insert(x: Reals, count: int, value: Real) -> None:
-    """Insert a value into the sorted x; `count` values then."""
-    i = count - 1
-    while i > 0 and x[i - 1] > value:
-        x[i] = x[i - 1]
-        i -= 1
-    x[i] = value
-
-
-def _middle(x: Reals, count: int) -> Real:
-    """Median of the sorted x."""
-    return x[count // 2] if count % 2 == 1 else 0.5 * (x[count // 2 - 1] + x[count // 2])

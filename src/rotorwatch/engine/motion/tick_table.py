@@ -43,7 +43,7 @@ from rotorwatch.flight.vehicle import Vehicle
 __all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "READY_KNOWN_S", "READY_S", "READY_TICKS", "SIDE_S", "TICKS_S"]
 
 EARLIEST_TICKS = 2  # duration of an announcement: engine/estimator/announcement.py
-ROOM = 512  # rows in one call
+ROOM = 512  # ticks, or rows, in one call
 
 
 @dataclass(frozen=True, eq=False, repr=False)

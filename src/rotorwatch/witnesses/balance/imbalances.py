@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight
 from rotorwatch.stats.nonnegative import best_total
@@ -32,7 +33,6 @@ from rotorwatch.witnesses.balance.orders import Windows
 APART = 4.0  # largest inflation of the variance with which a window tells a rotor from the others
 USUAL = 0.15  # of its usual speed, within which a rotor's windows are compared
 LEAST_WINDOWS = 10
-CONFIDENCE_SD = 1.96
 FAR = 4.0
 BLADES = (2, 3)
 MICRO = 1e6
@@ -282,7 +282,7 @@ def mean(squares: np.ndarray, noise: np.ndarray) -> tuple[float, float, float]:
     weight /= weight.sum()
     centre = float(weight @ squares)
     sd = float(np.sqrt(np.square(weight * (squares - centre)).sum() / independence(squares)))
-    return centre, centre - CONFIDENCE_SD * sd, centre + CONFIDENCE_SD * sd
+    return centre, centre - WITHIN_95 * sd, centre + WITHIN_95 * sd
 
 
 def independence(series: np.ndarray) -> float:

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from rotorwatch.base.arrays import median
-from rotorwatch.witnesses.balance.imbalances import CONFIDENCE_SD, Figure, Heard, history
+from rotorwatch.engine.events.losses import WITHIN_95
+from rotorwatch.witnesses.balance.imbalances import Figure, Heard, history
 from rotorwatch.witnesses.balance.unbalanced import SCATTER, SIDEBANDS, WORTH, gained, rise
 
 SHARE = 0.5
@@ -96,7 +97,7 @@ def _student(t: float) -> float:
 def _sd(figure: Figure) -> float:
     """Standard deviation of the logarithm of a figure that is at least `_floor`."""
     low = max(figure.low, 0.5 * _floor(figure))
-    return float(np.log(max(figure.high, _floor(figure)) / low) / (2.0 * CONFIDENCE_SD))
+    return float(np.log(max(figure.high, _floor(figure)) / low) / (2.0 * WITHIN_95))
 
 
 def _log(figure: Figure) -> float:

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.stats.tails import student_cdf
 from rotorwatch.witnesses.balance.imbalances import MICRO, Figure, Heard, history, independence, mean
 
@@ -90,7 +91,7 @@ def _against_flights(figure: Figure, past: np.ndarray, others: Sequence[float]) 
     logs = np.log(np.maximum(past, floor))
     own = float(np.square(logs - logs.mean()).sum()) if logs.size > 1 else 0.0
     dof = WORTH + logs.size - 1.0
-    measured = np.log(max(figure.value, floor) / max(figure.low, 0.1 * figure.value, 1e-9)) / 1.96
+    measured = np.log(max(figure.value, floor) / max(figure.low, 0.1 * figure.value, 1e-9)) / WITHIN_95
     sd = float(np.sqrt((WORTH * SCATTER**2 + own) / dof * (1.0 + 1.0 / logs.size) + measured**2))
     higher = float(np.log(max(figure.value, floor)) - logs.mean())
     p = 1.0 - student_cdf(higher / sd, dof)

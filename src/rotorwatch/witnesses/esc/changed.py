@@ -17,6 +17,7 @@ import numpy as np
 
 from rotorwatch.answer.wording import interval, percent, rotors, seconds
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import HIGH, LOW, SLOW
 from rotorwatch.witnesses.esc import causes as evidence
@@ -57,7 +58,7 @@ def examine(bins: Binned, usable: np.ndarray) -> tuple[tuple[Event, ...], list[s
     for kind, law in ((SLOW, speed), (HIGH, current), (LOW, current)):
         for rotor, onset, announced, change, sd in changes(bins.time, *law, kind):
             size = float(abs(np.expm1(change)))
-            ends = (max(abs(change) + s * 1.96 * sd, 0.0) for s in (-1.0, 1.0))
+            ends = (max(abs(change) + s * WITHIN_95 * sd, 0.0) for s in (-1.0, 1.0))
             bounds = tuple(float(abs(np.expm1(SIGN[kind] * end))) for end in ends)
             if kind == SLOW and bounds[0] > LARGE:
                 if _follows(bins.time, current, rotor - 1, onset, announced, change):

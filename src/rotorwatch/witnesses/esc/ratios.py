@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.events.losses import WITHIN_95
 
 PROPELLER, MOTOR, BEARING, UNKNOWN = "propeller", "motor_or_esc", "bearing", "unknown"
 PRIOR = {PROPELLER: 0.4, MOTOR: 0.3, BEARING: 0.15, UNKNOWN: 0.15}
@@ -184,7 +185,7 @@ def parts(seen: Measured, theta: float, theta_sd: float) -> dict[str, tuple[floa
 
 
 def _bounded(value: float, sd: float) -> tuple[float, float, float]:
-    low, high = value - 1.96 * sd, value + 1.96 * sd
+    low, high = value - WITHIN_95 * sd, value + WITHIN_95 * sd
     return tuple(float(np.clip(v, 0.0, 1.0)) for v in (value, low, high))  # pyright: ignore[reportReturnType]
 
 

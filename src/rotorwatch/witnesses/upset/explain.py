@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.engine.estimator.hypotheses import STUCK_WEIGHT
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.witnesses.upset.balance import Fit, Offset, Window, delivered, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
@@ -113,5 +114,5 @@ def _summed(kind, rotors, prior, labels, log, fits: list[Fit], window: Window) -
     onsets = np.array([labels[k][2] for k in mine])
     when = window.time[onsets[np.argmax(weight)]]
     residual = fits[best // CHUNK].residual[best % CHUNK]
-    low, high = max(0.0, mean - 1.96 * sd), min(1.0, mean + 1.96 * sd)
+    low, high = max(0.0, mean - WITHIN_95 * sd), min(1.0, mean + WITHIN_95 * sd)
     return Explanation(kind, rotors, evidence, float(when), mean, low, high, residual, labels[best][4])

@@ -21,9 +21,9 @@ from rotorwatch.witnesses.upset import loss_of_control, spinning
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
 from rotorwatch.witnesses.upset.explain import Explanation, explain
 from rotorwatch.witnesses.upset.loss_of_control import HIT_S, LossOfControl, held, thrust_axis
-from rotorwatch.witnesses.upset.spinning import FliesOn
+from rotorwatch.witnesses.upset.spinning import BEFORE_S, FITS, FliesOn
 
-BEFORE_S, AFTER_S = 2.0, 3.0  # of the upset that are used, at most
+AFTER_S = 3.0  # of the upset that are used, at most, with BEFORE_S
 EARLIER_S, LATER_S = 0.7, 0.3  # around its onset, in which a cause may have begun
 SHOWS_S = 0.5  # before control is lost: later onsets are no cause
 CALM_S = 0.4  # of controlled flight before, to estimate the offset of the torques
@@ -37,8 +37,7 @@ MOST_TICKS = 60
 HOVER_PARAMETERS = ("MOT_THST_HOVER", "MPC_THR_HOVER")
 USUAL_HOVER = 0.35
 
-FITS = 1.7  # standard deviations, root mean square: beyond, even the best explanation does not explain the motion
-TURNED = 1.4  # the same, of torques: the rotors turned the vehicle as commanded
+TURNED = 1.4  # as FITS, of torques: the rotors turned the vehicle as commanded
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion deviates from the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
