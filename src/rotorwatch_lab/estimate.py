@@ -246,9 +246,7 @@ def estimate(
         discovery.estimator(name)
     titles = [discovery.title(name) for name in names]
     if calibrated and (airframe is not None or plant != "rates" or tuning is not None):
-        raise ConfigError(
-            "Calibrated intervals are for methods as they are, on multirotors and the plant rates: leave the others out."
-        )
+        raise ConfigError("Calibrated intervals are for methods as they are, on multirotors and the plant rates: leave the others out.")
     if twice := next((t for k, t in enumerate(titles) if t in titles[:k]), None):
         raise ConfigError(f"The method {twice} is named twice; name each once.")
     if tuning is not None and len(names) > 1:
