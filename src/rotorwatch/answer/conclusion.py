@@ -69,7 +69,7 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         )
         said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
-    seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
+    seen = seen._replace(events=tuple(e.stated() for e in seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())

@@ -34,6 +34,7 @@ from rotorwatch_lab.control import spinning
 from rotorwatch_lab.control.airframe import Airframe
 from rotorwatch_lab.control.allocation import DRIVEN_BY, rows
 from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.published import log_plant
 from rotorwatch_lab.simulation import logbook, loop, prepare, reconfigured, trajectories
 from rotorwatch_lab.simulation.scenario import Scenario
 
@@ -264,7 +265,7 @@ def _beliefs(driver: str, flights, scenarios, plans, records, entries, by: str, 
         outputs = [estimate.out for estimate in batch.by_default(flown, whole=True)]
     else:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, batch.learned_states(flown, B))
+        hops = [log_plant.hops(table, B) for table in tables]
         outputs = methods.judge(driver, tables, hops, B, size, ((),))[0]
     beliefs: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, outputs, strict=True):
