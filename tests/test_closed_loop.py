@@ -199,20 +199,21 @@ def test_acting_is_certified_for_all_that_is_possible():
     np.testing.assert_allclose(old, 0.5, atol=1e-3)
     assert new[1] > old[1]
 
-    def better(low, high, *others):
+    def better(low, high, *others, commands=new):
         lower, upper = (np.array([1.0, e, 1.0, 1.0]) for e in (low, high))
         possible = certified.possible([1.0, 0.7, 1.0, 1.0], lower, upper, np.reshape(others, (-1, n)))
         assert len(possible) == 3 + len(others)
-        return certified.is_better(craft.allocator, demand, old, new, possible)
+        return certified.is_better(craft.allocator, demand, old, commands, possible)
 
     assert better(0.55, 0.8) and not better(0.55, 0.95)
     assert not better(0.65, 0.75, np.ones(n))  # it may be none
     assert not better(0.65, 0.75, [0.7, 1.0, 1.0, 1.0])  # or the opposite rotor
+    assert better(0.0, 0.8) and not better(0.0, 0.8, commands=old)  # of a dead rotor it makes no difference
     one = certified.possible([1.0, 0.0], [1.0, 0.0], [1.0, 0.0], np.zeros((0, 2)))
     np.testing.assert_array_equal(one, [[1.0, 0.0], [1.0, 0.0]])
 
 
-def test_a_certified_entry_waits_until_nothing_else_is_possible():
+def test_a_certified_entry_waits_until_nothing_else_is_possible_and_goes_as_far_as_the_interval_lets_it():
     s, numbers, B = planned(faults=[])
     T = 300
     ticks = SimpleNamespace(time=10.0 + 0.05 * np.arange(T), dt=0.05, thrust=np.ones((T, 4)), mode=np.full(T, 2.0))
@@ -225,14 +226,18 @@ def test_a_certified_entry_waits_until_nothing_else_is_possible():
     craft = reconfigured.Reconfigured(B)
 
     def entered(by, *entries):
-        better = closed_loop._certifier(craft, numbers, out, list(entries)) if by == closed_loop.CERTIFIED else None
-        return closed_loop._next(s, ticks, out, list(entries), by, better)
+        certify = closed_loop._certifier(craft, numbers, out, list(entries)) if by == closed_loop.CERTIFIED else None
+        return closed_loop._next(s, ticks, out, list(entries), by, certify)
 
     first, sure = entered("estimate"), entered(closed_loop.CERTIFIED)
     assert first is not None and first.since == pytest.approx(15.0 + closed_loop.DELAY_S)
     assert sure is not None and sure.since == pytest.approx(20.0 + closed_loop.DELAY_S)
     np.testing.assert_array_equal(sure.mean, first.mean)
-    out.theta_sd[:] = 0.1  # from 10 % on: not known well enough
+    assert entered(closed_loop.CERTIFIED, sure) is None
+    out.each[100:, 0, 0], out.theta[100:, 0], out.theta_sd[:] = 0.2, 0.2, 0.06  # 8 to 32 %: 14 % are too much by 6 at most
+    part = entered(closed_loop.CERTIFIED)
+    assert part is not None and part.mean[0] == pytest.approx(0.86) and part.lower[0] == pytest.approx(0.68)
+    out.theta_sd[:] = 0.08  # from 4 % on: what may be acted on is too little
     assert entered(closed_loop.CERTIFIED) is None and entered("estimate") is not None
 
 

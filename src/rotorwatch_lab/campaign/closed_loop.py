@@ -38,7 +38,7 @@ from rotorwatch_lab.simulation import logbook, loop, prepare, reconfigured, traj
 from rotorwatch_lab.simulation.scenario import Scenario
 
 NOBODY, TRUTH = "nobody", "truth"
-CERTIFIED = "certified"  # allocation by the estimate, once that is better for all that is possible (control/certified.py)
+CERTIFIED = "certified"  # allocation by the estimate, as far as that is better for all that is possible (control/certified.py)
 BY = (*DRIVEN_BY, CERTIFIED)
 EXCLUDED = 0.01  # an explanation less probable than this is not possible
 ENTRIES = 8  # beliefs that a flight may act on, one after the other
@@ -271,23 +271,28 @@ def _beliefs(driver: str, flights, scenarios, plans, records, entries, craft, by
         outputs = methods.judge(driver, tables, hops, B, size, ((),))[0]
     beliefs: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, outputs, strict=True):
-        better = _certifier(craft, plans[k], out, entries[k]) if by == CERTIFIED else None
-        beliefs[k] = _next(scenarios[k], f.ticks, out, entries[k], by, better)
+        certify = _certifier(craft, plans[k], out, entries[k]) if by == CERTIFIED else None
+        beliefs[k] = _next(scenarios[k], f.ticks, out, entries[k], by, certify)
     return beliefs
 
 
-def _certifier(craft, plan, out: program.TickOutput, entries: list[reconfigured.Entry]) -> Callable[..., bool]:
-    """(tick, mean, lower, upper) -> whether acting on that belief is better, in hover, for all that is possible."""
-    demand = craft.allocator.B @ np.full(craft.allocator.n, float(plan.pilot.hover))
-    commands = _commands(craft)
-    old = commands(demand, believed(entries[-1].mean if entries else np.ones(craft.allocator.n)))
+def _certifier(craft, plan, out: program.TickOutput, entries: list[reconfigured.Entry]) -> Callable[..., np.ndarray | None]:
+    """(tick, mean, lower, upper) -> the effectiveness (n,) that may be acted on, or None."""
+    allocator, commands = craft.allocator, _commands(craft)
+    demand = allocator.B @ np.full(allocator.n, float(plan.pilot.hover))
+    before = entries[-1].mean if entries else np.ones(allocator.n)
+    old = commands(demand, believed(before))
 
-    def better(k: int, mean, lower, upper) -> bool:
+    def certify(k: int, mean, lower, upper) -> np.ndarray | None:
         others = np.where(out.active[k] > 0, 1.0 - out.each[k], 1.0)[np.asarray(out.share[k]) > EXCLUDED]
-        new = commands(demand, believed(mean))
-        return certified.is_better(craft.allocator, demand, old, new, certified.possible(mean, lower, upper, others))
+        possible = certified.possible(mean, lower, upper, others)
+        for step in certified.STEPS:
+            e = upper + step * (mean - upper)
+            if np.abs(e - before).max() > MOVED and certified.is_better(allocator, demand, old, commands(demand, believed(e)), possible):
+                return e
+        return None
 
-    return better
+    return certify
 
 
 @functools.cache
@@ -303,9 +308,10 @@ def _next(
     out: program.TickOutput,
     entries: list[reconfigured.Entry],
     by: str,
-    better: Callable[..., bool] | None = None,
+    certify: Callable[..., np.ndarray | None] | None = None,
 ) -> reconfigured.Entry | None:
-    """The first belief after the last entry that is far enough from it, and better, where that is asked (`_certifier`)."""
+    """The first belief after the last entry that is far enough from it, as far as `certify` (`_certifier`) lets it be acted on. Where the
+    vehicle has to turn, its hover is that of the mean."""
     if len(entries) == ENTRIES:
         return None
     weak = np.asarray(out.active[:, 0], bool)
@@ -329,11 +335,13 @@ def _next(
         candidates = np.where(stays[:, None], awaited, candidates)
     due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last_s + REFRESH_S) & (ticks.mode > LEARN)
     low, high = np.clip(mean - apart, 0.0, 1.0), np.clip(mean + apart, 0.0, 1.0)
-    k = next((k for k in np.flatnonzero(due) if better is None or better(k, mean[k], low[k], high[k])), None)
-    if k is None:
-        return None
-    others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
-    return _entry(scenario, float(since[k]), mean[k], low[k], high[k], *others)
+    for k in np.flatnonzero(due):
+        acted = certify(k, mean[k], low[k], high[k]) if certify else mean[k]
+        if acted is not None:
+            others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
+            made = _entry(scenario, float(since[k]), mean[k], low[k], high[k], *others)
+            return made if made.turning > 0.5 else made._replace(mean=acted)
+    return None
 
 
 @functools.cache
