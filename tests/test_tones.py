@@ -66,7 +66,7 @@ def test_commands_of_another_flight_and_noise_tell_nothing(drawn):
 def test_what_is_too_short_or_too_slow_is_not_followed(drawn, change):
     signals = dict(drawn[1].flight.signals)
     if change == "short":
-        signals = {name: s.part(slice(None, round(8.0 * s.rate_hz))) for name, s in signals.items()}
+        signals = {name: s.part(slice(None, round(5.0 * s.rate_hz))) for name, s in signals.items()}
     elif change == "no commands":
         signals.pop("motors")
     else:

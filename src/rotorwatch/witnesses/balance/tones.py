@@ -25,7 +25,7 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.witnesses.balance import orders
 
-LEAST_S = 10.0  # of flight: gains, curve and lag are not known from less
+LEAST_S = 6.0  # of flight: gains, curve and lag are not known from less
 LEAST_COMMANDS_HZ = 20.0
 TURNS = 40.0  # of a window: speeds that are 2 % apart have tones of their own
 SHORTEST_S = 0.15
