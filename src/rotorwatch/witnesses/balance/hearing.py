@@ -29,6 +29,7 @@ LEAST_HZ = 200.0  # a window of orders.WINDOW_S then has fewer samples than twic
 FOLLOWS_HZ = 400.0  # without speeds: slower, too many tones share what is below half of it
 LEAST_SPEED_HZ = 8.0  # of the reports of a rotor's speed: their line follows it within a window
 LEAST_LEFT = 0.05  # of a tone behind a filter: below, errors of the filter's constants are as large as the tone
+LOOKS = 5000  # reports of which the usual speed is taken
 UNFILTERED = {"gyro": ("gyroUnfilt", "gyroRaw")}
 
 SPEEDS = {
@@ -142,8 +143,9 @@ def usual_hz(flight: Flight, rotors: int) -> float:
     reported = speeds(flight, rotors) if rotors else None
     if reported is None:
         return 0.0
-    turning = reported[2] & (reported[1] > 0.0)
-    return float(median(reported[1][turning])) / (2.0 * np.pi) if turning.any() else 0.0
+    speed, valid = (table[:: 1 + len(table) // LOOKS] for table in reported[1:])
+    turning = valid & (speed > 0.0)
+    return float(median(speed[turning])) / (2.0 * np.pi) if turning.any() else 0.0
 
 
 def sensor(flight: Flight, rotors: int) -> Channel | None:

@@ -38,6 +38,7 @@ BLADES = (2, 3)
 MICRO = 1e6
 TRIAL = 20  # windows that show how long they must be, how many blades pass in a turn, and whether the poles are right
 LONGER, MOSTLY = (1.0, 2.0, 4.0, 8.0), 0.5  # lengths of windows that are tried; share in which the rotor that is least apart must be
+COHERENT = 3  # of these, where speeds are predicted from commands: in longer windows their angle drifts away
 ALIKE = 0.5  # correlation of two tones from which they are hardly ever apart
 GRID_S, LATE_S, LEAST_GRID = 0.1, 0.03, 50  # for the comparison of speeds with commands; of a motor behind its command
 EXCHANGED_FIT, EXCHANGED_BETTER = 0.6, 0.3
@@ -92,7 +93,7 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     """The imbalance of each rotor in the flights `air` ((start, end), ...) s; None where the log cannot hear."""
     if not air or hearing.deaf(flight, rotors) is not None:
         return None
-    reported, sure = hearing.speeds(flight, rotors), None
+    reported, sure = hearing.speeds(flight, rotors), np.ones(rotors, bool)
     channel = hearing.open_channel(flight)
     if reported is not None:
         turning = reported[2] & (reported[1] > orders.STANDING) & within(reported[0], air)[:, None]
@@ -117,7 +118,7 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     def trial(factor: float, blades: int, window_s: float) -> Windows | None:
         return orders.fit(time, values, factor * speed, channel.exponent, (1, blades), window_s, TRIAL)
 
-    if (chosen := _chosen(trial, usual)) is None:
+    if (chosen := _chosen(trial, usual, sure, LONGER if reported is not None else LONGER[:COHERENT])) is None:
         return None
     kept, window_s = chosen
 
@@ -144,13 +145,16 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     return _joined(found, merged, groups)
 
 
-def _chosen(trial: Callable[[float, int, float], Windows | None], usual: np.ndarray) -> tuple[tuple[int, int], float] | None:
-    """(orders, length s of the windows) that suit rotors of usual speeds (R,), by fits of a few windows; None where none is whole."""
+def _chosen(
+    trial: Callable[[float, int, float], Windows | None], usual: np.ndarray, sure: np.ndarray, longer: Sequence[float]
+) -> tuple[tuple[int, int], float] | None:
+    """(orders, length s of the windows) that suit rotors of usual speeds (R,), by fits of a few windows, `longer` times as long as
+    usual; None where none is whole. sure (R,): the rotors that are to be told apart."""
     shortest = max(orders.WINDOW_S, orders.TURNS * 2.0 * np.pi / float(usual.min()))
     tried: list[tuple[float, float, Windows]] = []
-    for factor in LONGER:
+    for factor in longer:
         if (w := trial(1.0, BLADES[0], shortest * factor)) is not None:
-            tried.append((_apart(w), shortest * factor, w))
+            tried.append((_apart(w, sure), shortest * factor, w))
             if tried[-1][0] > MOSTLY:
                 break
     if not tried:
@@ -213,10 +217,10 @@ def _alike(found: Heard) -> list[tuple[int, ...]]:
     return [tuple(k for k in range(n) if group[k] == g) for g in sorted(set(group))]
 
 
-def _apart(windows: Windows) -> float:
-    """The share of windows in which the rotor that is least often apart from the others is."""
+def _apart(windows: Windows, sure: np.ndarray) -> float:
+    """The share of windows in which the rotor (of these) that is least often apart from the others is."""
     turning = windows.speed > 0.0
-    return float(((windows.inflation[:, 0] < APART) & turning).sum(axis=0).min() / max(int(turning.all(axis=1).sum()), 1))
+    return float(((windows.inflation[:, 0] < APART) & turning).sum(axis=0)[sure].min() / max(int(turning.all(axis=1).sum()), 1))
 
 
 def _exchanged(flight: Flight, time: np.ndarray, speed: np.ndarray, valid: np.ndarray, air: Spans) -> str:

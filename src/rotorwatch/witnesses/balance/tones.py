@@ -157,8 +157,10 @@ class _Search:
         speed = (hz or self.hz) * np.exp(self.curve * self.at(t, self.log) + self.gains + (w.knots @ self.common)[:, None, None])
         turns = np.zeros(speed.shape)
         np.cumsum(0.5 * (speed[:, 1:] + speed[:, :-1]) * np.diff(t, axis=1)[..., None], axis=1, out=turns[:, 1:])
-        turns = np.remainder(turns - turns[:, turns.shape[1] // 2, None], 1.0)
-        return np.exp((-2j * np.pi) * turns.astype(np.float32))
+        angle = (2.0 * np.pi * np.remainder(turns - turns[:, turns.shape[1] // 2, None], 1.0)).astype(np.float32)
+        tones = np.empty(angle.shape, np.complex64)
+        tones.real, tones.imag = np.cos(angle), -np.sin(angle)
+        return tones
 
     def scan(self, w: _Windows) -> float:
         """Finds the common gain, and how it falls over the flight; its score, the sum over the rotors of log(line / floor)."""
@@ -168,7 +170,8 @@ class _Search:
         y = w.values.transpose(0, 2, 1).astype(np.complex64)
         power = np.empty((every.size, len(w.rows), self.rotors), np.float32)
         for k in range(every.size):
-            power[k] = np.square(np.abs(y @ turn)).sum(axis=1)
+            found = y @ turn
+            power[k] = (np.square(found.real) + np.square(found.imag)).sum(axis=1)
             turn *= step
         beside = np.pad(power.mean(axis=1), ((FLOOR, FLOOR), (0, 0)), mode="edge")
         floor = np.stack([np.median(beside[k : k + 2 * FLOOR + 1], axis=0) for k in range(every.size)])
@@ -199,11 +202,14 @@ class _Search:
         whole = np.square(rest).sum(axis=(1, 2))[:, None]
         turn = np.exp((-2j * np.pi) * np.outer(w.offsets * self.hz, w.turned)).astype(np.complex64)
         gain = 2.0 * float(np.square(w.taper).sum()) / float(w.taper.sum()) ** 2
+        blocks = (len(rest), w.turned.size, w.block, -1)
+        rest = rest[:, : w.turned.size * w.block].reshape(blocks)
         out = []
         for k in by:
-            slow = (rest * tones[:, :, k, None])[:, : w.turned.size * w.block]
-            slow = slow.reshape(len(slow), w.turned.size, w.block, 3).sum(axis=2)
-            share = gain * np.square(np.abs(turn @ slow)).sum(axis=2) / np.maximum(whole, 1e-12)
+            turned = np.ascontiguousarray(tones[:, : w.turned.size * w.block, k]).view(np.float32).reshape(blocks)
+            slow = turned.transpose(0, 1, 3, 2) @ rest  # (W, blocks, 2, 3): with cosine and minus sine
+            share = turn @ (slow[:, :, 0] + 1j * slow[:, :, 1])
+            share = gain * (np.square(share.real) + np.square(share.imag)).sum(axis=2) / np.maximum(whole, 1e-12)
             out.append(-np.log1p(-np.minimum(share, 0.98)))
         return np.array(out)
 
