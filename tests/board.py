@@ -253,7 +253,8 @@ def in_shares(what: Shown) -> Shown:
     rows = table[:, 0] == onboard_law.OUTPUTS
     table[rows, 3 : 3 + n] = (table[rows, 3 : 3 + n] - 1000.0) / 1000.0
     curve = replace(curve, u_min=(curve.u_min - 1000.0) / 1000.0, u_max=(curve.u_max - 1000.0) / 1000.0)
-    return replace(what, table=table, craft=replace(what.craft, curve=curve))
+    extra = {**what.craft.extra, "mixer_expo": curve.expo}
+    return replace(what, table=table, craft=replace(what.craft, curve=curve, extra=extra))
 
 
 def library(what: Shown, folder: Path) -> Path:

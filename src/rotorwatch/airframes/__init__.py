@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
@@ -49,6 +50,19 @@ def identify(flight: Flight) -> Vehicle:
         f"{flight.name or 'The log'} does not say which airframe flew ({_missing(flight)}); "
         "describe it in a vehicle file and give that with --vehicle FILE."
     )
+
+
+def of(flight: Flight, vehicle: Vehicle | None = None) -> Vehicle:
+    """The airframe of a flight: `vehicle` where one is given, with the curve of PX4's mixer, which is a parameter of its own, where it does
+    not say that. Raises VehicleError as `identify` does."""
+    if vehicle is None:
+        return identify(flight)
+    check(vehicle, flight)
+    if "mixer_expo" in vehicle.extra or not flight.autopilot.lower().startswith("px4"):
+        return vehicle
+    from rotorwatch.airframes.px4 import mixer_expo
+
+    return replace(vehicle, extra={**vehicle.extra, "mixer_expo": mixer_expo(flight)})
 
 
 def check(vehicle: Vehicle, flight: Flight) -> None:

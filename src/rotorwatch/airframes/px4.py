@@ -165,7 +165,8 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
 
 def _named(frame: str) -> Vehicle:
     rotors = place(frame)
-    return Vehicle(f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name")
+    extra = {"mixer_expo": 0.0, "rests_at_minimum": True}  # THR_MDL_FAC is 0 by default
+    return Vehicle(f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name", extra=extra)
 
 
 NAMES = {f"px4-{frame}": functools.partial(_named, frame) for frame in FRAMES}

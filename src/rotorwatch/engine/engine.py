@@ -20,6 +20,7 @@ from rotorwatch.engine.events.changes import Change, Changes
 from rotorwatch.engine.events.events import Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
 from rotorwatch.engine.events.records import Found, Records
+from rotorwatch.engine.events.reliance import Reliance
 from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.deviations import Override
 from rotorwatch.engine.intake.front import Front
@@ -49,6 +50,7 @@ class Engine(Struct):
     report = embedded(Report)
     trim = embedded(Trim)
     changes = embedded(Changes)
+    reliance = embedded(Reliance)  # as of the last poll
     made = embedded(Made)  # the last tick, as measured
     out = embedded(Result)  # the estimator's output for it
     events = array(Event, EVENTS)  # events at the last poll
@@ -153,6 +155,7 @@ class Engine(Struct):
         overridden = self.front.deviations.found(v, room.overrides)
         count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
+        self.reliance.look(v, self.events, self.count, self.front.start, self.front.newest)
         final = self.front.newest - FINAL_S
         return self.changes.look(self.events, self.count, final, -1, False, self.withdrawn, self.fresh)
 

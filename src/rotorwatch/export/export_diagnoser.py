@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -194,7 +195,9 @@ def export_diagnoser(
     plan = usual_plan(rate_hz, control_hz, gyro_hz, accel_hz, bool(known.get("dynamics")))
     if plan.dt > tick_table.SHORTEST_S / 2.0:
         raise ConfigError(f"Outputs at {rate_hz:g} Hz are too slow for on board: feed them at 8 Hz or more.")
-    unit = (1000.0, 2000.0) if craft.curve.u_max > 2.0 else (0.0, 1.0)
+    unit = (1000.0, 2000.0)
+    if craft.curve.u_max <= 2.0:  # PX4's demands, to which its mixer applies no curve
+        unit, craft = (0.0, 1.0), replace(craft, extra={"mixer_expo": 0.0, **craft.extra})
     tables = vehicle_table(craft, unit), tick_table.table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
     texts = files(craft, plan, (rate_hz, gyro_hz, accel_hz), tables)
     sources = [name for name in texts if name.endswith(".c")]

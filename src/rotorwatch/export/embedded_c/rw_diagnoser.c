@@ -133,6 +133,13 @@ int rw_diagnoser_verdict(const rw_diagnoser *d) { return (int)rw_engine_verdict(
 
 rw_real rw_diagnoser_loss(const rw_diagnoser *d, int rotor) { return d->engine.out.theta[rotor]; }
 
+const rw_reliance *rw_diagnoser_reliance(const rw_diagnoser *d) { return &d->engine.reliance; }
+
+int rw_diagnoser_factors(const rw_diagnoser *d, rw_real *factors)
+{
+    return (int)rw_reliance_factors(&d->engine.reliance, d->vehicle, factors);
+}
+
 const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
 {
     static const char *const words[] = {"not judged", "healthy so far", "fault found", "ambiguous"};

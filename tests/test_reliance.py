@@ -1,0 +1,91 @@
+"""What control may rely on: losses come at once, recoveries late, a rotor that is left out stays out, and the mixer answers the demands."""
+
+import numpy as np
+import pytest
+
+from rotorwatch import airframes
+from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.engine.events.events import Event
+from rotorwatch.engine.events.reliance import LEAST, LEVEL, MOVED, REFRESH_S, RISES_S, TURNS, UNABLE, Reliance
+from rotorwatch.engine.intake.craft import Vehicle
+from rotorwatch.engine.intake.sizes import ROTORS
+
+
+def craft(name):
+    """A frame in the definitions' form."""
+    vehicle, v = airframes.named(name), Vehicle()
+    v.rotors = len(vehicle.rotors)
+    for a, row in enumerate(vehicle.effectiveness()):
+        v.effectiveness[a][: v.rotors] = row.tolist()
+    return v
+
+
+def loss(rotor, share, sd=0.05, **more):
+    """A loss of a rotor, from 0."""
+    e = Event()
+    e.rotors, e.loss[0], e.lower[0], e.upper[0], e.probability = 1 << rotor, share, max(share - 2 * sd, 0.0), min(share + 2 * sd, 1.0), 0.99
+    for name, value in more.items():
+        setattr(e, name, value)
+    return e
+
+
+def looked(r, v, now, *events, start=1.0):
+    return r.look(v, list(events), len(events), start, now)
+
+
+def test_a_loss_comes_at_once_and_a_recovery_when_it_has_lasted():
+    r, v = Reliance(), craft("ardupilot-hexa-x")
+    assert not looked(r, v, 5.0)
+    assert looked(r, v, 10.0, loss(2, 0.3)) and r.effectiveness[2] == pytest.approx(0.7)
+    assert (r.lower[2], r.upper[2]) == (pytest.approx(0.6), pytest.approx(0.8))
+    assert not looked(r, v, 10.0 + REFRESH_S, loss(2, 0.3 + 0.9 * MOVED)), "no further than the last one by MOVED"
+    assert not looked(r, v, 10.0 + 0.5 * REFRESH_S, loss(2, 0.45)) and looked(r, v, 10.0 + REFRESH_S, loss(2, 0.45))
+    seen, now = [], 20.0
+    while now < 20.0 + 2 * RISES_S:  # over, and again, and over
+        seen.append(looked(r, v, now, *([loss(2, 0.45)] if int(now) % 4 == 0 else [])))
+        now += 0.1
+    assert not any(seen), "it does not flap"
+    looked(r, v, 39.95, loss(2, 0.45))
+    assert not looked(r, v, 40.0) and not looked(r, v, 39.9 + RISES_S) and looked(r, v, 40.0 + RISES_S)
+    assert list(r.effectiveness[:6]) == [1.0] * 6 and r.left_out == 0
+
+
+def test_a_rotor_that_is_left_out_stays_out_until_the_next_flight():
+    r, v = Reliance(), craft("ardupilot-hexa-x")
+    unsure = loss(4, 0.9)
+    unsure.alternative_count, unsure.alternatives[0] = 1, 1 << 1
+    assert not looked(r, v, 10.0, unsure), "other rotors may be it"
+    assert looked(r, v, 10.5, loss(4, 0.55, 0.04)) and r.left_out == 0, "it may give more than half"
+    assert looked(r, v, 11.0, loss(4, 0.8)) and r.left_out == 1 << 4 and r.effectiveness[4] == 0.0
+    assert (r.decided, r.stands) == (11.0, True) and r.odds == pytest.approx(99.0)
+    revision = r.revision
+    for now in np.arange(11.1, 60.0, 0.1):
+        looked(r, v, now)
+    assert r.left_out == 1 << 4 and r.revision == revision and not r.stands
+    assert not looked(r, v, 61.0, start=LASTS) and r.left_out == 1 << 4, "on the ground all stays"
+    looked(r, v, 70.0, start=69.0)
+    assert r.left_out == 0 and r.decided == LASTS and r.effectiveness[4] == 1.0 and r.revision > revision
+
+
+def test_a_stuck_rotor_answers_no_command():
+    r, v = Reliance(), craft("ardupilot-octa-x")
+    assert looked(r, v, 10.0, loss(3, 0.1, size=2.1)) and r.left_out == 1 << 3
+
+
+@pytest.mark.parametrize("name", ["ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "px4-octa-coaxial"])
+@pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
+def test_the_mixer_answers_the_demands(name, lost):
+    r, v = Reliance(), craft(name)
+    B = np.array(v.effectiveness)[:, : v.rotors]
+    if lost:
+        assert looked(r, v, 10.0, loss(0, lost, 0.01))
+    out = [0.0] * (4 * ROTORS)
+    can = r.factors(v, out)
+    F = np.array(out[: 4 * v.rotors]).reshape(v.rotors, 4)
+    e = np.array(r.effectiveness)[: v.rotors]
+    assert can == (TURNS if lost < 1.0 or "octa" in name else LEVEL if "hexa" in name else UNABLE)
+    if can == UNABLE:
+        return
+    kept = [0, 1, 2, 3] if can == TURNS else [0, 1, 3]
+    np.testing.assert_allclose((B @ (e[:, None] * F))[np.ix_(kept, kept)], np.eye(len(kept)), atol=1e-9)
+    assert (F[e > 0.0, 3] >= LEAST * F[:, 3].mean()).all() and (can == TURNS or not F[:, 2].any())
