@@ -1,7 +1,10 @@
 """What control may rely on: losses come at once, recoveries late, a rotor that is left out stays out, and the mixer answers the demands."""
 
+import shutil
+
 import numpy as np
 import pytest
+from tests import board
 
 from rotorwatch import airframes
 from rotorwatch.base.compiling.structs import LASTS
@@ -11,12 +14,14 @@ from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import ROTORS
 
 
-def craft(name):
+def craft(name, mixer=False):
     """A frame in the definitions' form."""
     vehicle, v = airframes.named(name), Vehicle()
     v.rotors = len(vehicle.rotors)
     for a, row in enumerate(vehicle.effectiveness()):
         v.effectiveness[a][: v.rotors] = row.tolist()
+    if vehicle.mixer is not None and mixer:
+        v.mixer[: v.rotors], v.mixer_known = vehicle.mixer.tolist(), True
     return v
 
 
@@ -74,8 +79,9 @@ def test_a_stuck_rotor_answers_no_command():
 
 @pytest.mark.parametrize("name", ["ardupilot-quad-x", "ardupilot-hexa-x", "ardupilot-octa-x", "px4-octa-coaxial"])
 @pytest.mark.parametrize("lost", [0.0, 0.4, 1.0])
-def test_the_mixer_answers_the_demands(name, lost):
-    r, v = Reliance(), craft(name)
+@pytest.mark.parametrize("mixer", [False, True])
+def test_the_mixer_answers_the_demands(name, lost, mixer):
+    r, v = Reliance(), craft(name, mixer)
     B = np.array(v.effectiveness)[:, : v.rotors]
     if lost:
         assert looked(r, v, 10.0, loss(0, lost, 0.01))
@@ -87,5 +93,49 @@ def test_the_mixer_answers_the_demands(name, lost):
     if can == UNABLE:
         return
     kept = [0, 1, 2, 3] if can == TURNS else [0, 1, 3]
-    np.testing.assert_allclose((B @ (e[:, None] * F))[np.ix_(kept, kept)], np.eye(len(kept)), atol=1e-9)
+    wanted = B @ np.array(v.mixer)[: v.rotors] if mixer else np.eye(4)
+    np.testing.assert_allclose((B @ (e[:, None] * F))[np.ix_(kept, kept)], wanted[np.ix_(kept, kept)], atol=1e-9)
     assert (F[e > 0.0, 3] >= LEAST * F[:, 3].mean()).all() and (can == TURNS or not F[:, 2].any())
+
+
+def hovers(vehicle, lost, onset, until, share):
+    """Samples of a hover in which a rotor stops, and the others carry the vehicle. share: as in PX4 outputs from 0 to 1."""
+    rng, n, B = np.random.default_rng(5), len(vehicle.rotors), vehicle.effectiveness()
+    left = np.delete(np.arange(n), lost)
+    gone = np.insert(np.linalg.lstsq(B[[0, 1, 3]][:, left], [0.0, 0.0, float(n)], rcond=None)[0], lost, 1.0)
+    time = np.arange(0.0, until, 0.01)
+    rows = np.zeros((6, len(time), board.onboard_law.WIDTH))
+    for k, kind in enumerate((board.onboard_law.OUTPUTS, board.onboard_law.GYRO, board.onboard_law.ACCEL, board.onboard_law.ATTITUDE)):
+        rows[k, :, 0], rows[k, :, 1], rows[k, :, 2] = kind, time + 1e-4 * k, 1.0
+    flies = time > 2.0
+    thrust = np.where((time >= onset)[:, None], gone, 1.0) * (0.45 + 0.004 * rng.standard_normal((len(time), n)))
+    a = vehicle.curve.expo
+    drive = (np.sqrt((1 - a) ** 2 + 4 * a * thrust) - (1 - a)) / (2 * a)
+    u = vehicle.curve.u_min + (vehicle.curve.u_max - vehicle.curve.u_min) * np.where(flies[:, None], drive, 0.01)
+    rows[0, :, 2], rows[0, :, 3 : 3 + n] = 2**n - 1, u
+    rows[1, :, 3:6] = 0.01 * rng.standard_normal((len(time), 3))
+    rows[2, :, 3:6] = [0.0, 0.0, -9.81] + 0.2 * rng.standard_normal((len(time), 3))
+    rows[3, :, 3] = 1.0
+    table = rows[:4].reshape(-1, rows.shape[2])
+    armed = np.zeros((1, rows.shape[2]))
+    armed[0, :5] = board.onboard_law.STATE, 0.0, 1.0, 0.0, 1.0
+    return np.concatenate([armed, table[np.argsort(table[:, 1], kind="stable")]])
+
+
+@pytest.mark.skipif(not (shutil.which("gcc") and shutil.which("g++")), reason="needs gcc and g++")
+@pytest.mark.parametrize("autopilot", ["ardupilot", pytest.param("px4", marks=pytest.mark.thorough)])
+def test_an_autopilot_flies_on_with_what_is_left(autopilot, tmp_path):
+    """Nothing changes before, nothing where it is not asked for; once a rotor is lost it is left out, and for good."""
+    craft = airframes.named(f"{autopilot}-octa-x")
+    table = hovers(craft, 2, 40.0, 60.0, autopilot == "px4")
+    program = board.build(autopilot, board.library(board.Shown(table, craft, 50.0, 100.0), tmp_path / "library"), tmp_path)
+    assert not [f for _, f in board.fly(program, table, tmp_path, "1", "5", "0").factors if not f[:8].all()]
+    flown = board.fly(program, table, tmp_path, "1", "5", "1")
+    assert any("rotor 3 lost" in text for *_, text in flown.texts), flown.texts
+    changed = [(time, f) for time, f in flown.factors if not f[2].any()]
+    assert changed and 40.0 < changed[0][0] < 41.0
+    assert all(not f[2].any() and f[[0, 1, 3, 4, 5, 6, 7]].any(axis=1).all() for time, f in flown.factors if time > 40.0)
+    assert all(f[2].any() for time, f in flown.factors if time < 40.0)
+    if autopilot == "ardupilot":
+        made = craft.effectiveness() @ changed[-1][1][:8]
+        np.testing.assert_allclose(made, craft.effectiveness() @ craft.mixer, atol=1e-4)

@@ -15,7 +15,7 @@
 #include <vector>
 
 hrt_abstime World::now;
-int32_t World::parameters[2] = {1, 5};
+int32_t World::parameters[3] = {0, 1, 5};
 FILE *World::out = stdout;
 
 namespace

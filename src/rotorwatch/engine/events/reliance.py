@@ -100,9 +100,10 @@ class Reliance(Struct):
         return True
 
     def factors(self, v: Vehicle, out: Reals) -> int:
-        """Write the mixer for these rotors into out (rotors, 4), row by row: thrust of each for a unit of roll, pitch, yaw and thrust of
-        `Vehicle.effectiveness`; return what it can do, UNABLE to TURNS. It is the pseudo-inverse E B' (B E^2 B')^-1 of the effectiveness B
-        with the rotors' own E; without yaw where a rotor would have next to nothing to give in hover."""
+        """Write the mixer for these rotors into out (rotors, 4), row by row: thrust of each for a unit of the rate controller's roll,
+        pitch, yaw and throttle (`Vehicle.mixer`; of the wrench where that is not known); return what it can do, UNABLE to TURNS. It is
+        E B' (B E^2 B')^-1 B M: the wrench of the healthy mixer M through the pseudo-inverse of the effectiveness B with the rotors' own E;
+        without yaw where a rotor would have next to nothing to give in hover."""
         if self._inverse(v, True, out):
             return TURNS
         return LEVEL if self._inverse(v, False, out) else UNABLE
@@ -130,13 +131,16 @@ class Reliance(Struct):
                 for k in range(v.rotors):
                     e = self.effectiveness[k]
                     gram[a][b] += v.effectiveness[a][k] * v.effectiveness[b][k] * e * e
-            back[a][a] = 1.0
+                    back[a][b] += v.effectiveness[a][k] * v.mixer[k][b] if v.mixer_known else 0.0
+            if not v.mixer_known:
+                back[a][a] = 1.0
         if not yaw:
             for a in range(4):
                 gram[a][YAW] = 0.0
                 gram[YAW][a] = 0.0
+                back[YAW][a] = 0.0
+                back[a][YAW] = 0.0
             gram[YAW][YAW] = 1.0
-            back[YAW][YAW] = 0.0
         for a in range(4):  # Gauss and Jordan, without exchanges: the matrix is positive definite
             if gram[a][a] < SINGULAR:
                 return False

@@ -123,8 +123,8 @@ rw_real rw_diagnoser_loss(const rw_diagnoser *d, int rotor);
    It does not flap: see rw_engine.h. `revision` changes with it. */
 const rw_reliance *rw_diagnoser_reliance(const rw_diagnoser *d);
 
-/* The mixer for that, into factors[4 * RW_ROTORS]: thrust of each rotor, a row each, for a unit of roll, pitch, yaw and thrust of
-   rw_vehicle.effectiveness. RW_TURNS; RW_LEVEL, where yaw has to be given up; or RW_UNABLE, where it must not be used. */
+/* The mixer for that, into factors[4 * RW_ROTORS]: thrust of each rotor, a row each, for a unit of the rate controller's roll, pitch, yaw
+   and throttle, by which the vehicle answers as it does healthy by rw_vehicle.mixer. RW_TURNS; RW_LEVEL, where yaw has to be given up; or RW_UNABLE, where it must not be used. */
 int rw_diagnoser_factors(const rw_diagnoser *d, rw_real *factors);
 
 /* "rotorwatch: rotor 3 lost 32 % (28-36)" into text[RW_TEXT]; returns its severity: RW_CRITICAL, RW_WARNING or RW_NOTICE. */
