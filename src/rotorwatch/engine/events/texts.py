@@ -12,7 +12,7 @@ from rotorwatch.base.compiling.structs import LASTS, REAL, TIME, Real, Small, St
 from rotorwatch.engine.events.changes import Known
 from rotorwatch.engine.events.events import CONTACT, LOSS, Event
 from rotorwatch.engine.events.words import INFO, severity
-from rotorwatch.engine.intake.sizes import EVENTS, ROTORS, TOGETHER
+from rotorwatch.engine.intake.sizes import ROTORS, TOGETHER, TOLD
 
 EVERY_S = 5.0  # least time between two texts
 MOVED = 0.05  # least change of a loss of effectiveness for a new report
@@ -39,7 +39,7 @@ class Told(Struct):
 class Texts(Struct):
     """Tracks the reports of all events."""
 
-    told = array(Told, EVENTS + 4)
+    told = array(Told, TOLD)
     last: Time = -LASTS  # s, when the last text was sent
     # For each rotor, and for events without a rotor: time of the last report, waiting time after it, and its severity.
     since = array(TIME, ROTORS + 1)
@@ -48,11 +48,11 @@ class Texts(Struct):
 
     def look(self, known: list[Known], count: int) -> None:
         """Take over the current events."""
-        for i in range(EVENTS + 4):
+        for i in range(TOLD):
             self.told[i].present = False
         for k in range(count):
             place = -1
-            for i in range(EVENTS + 4):
+            for i in range(TOLD):
                 if self.told[i].number == known[k].number:
                     place = i
             if place < 0:
@@ -64,7 +64,7 @@ class Texts(Struct):
             if self.told[place].over and not _over(known[k].event):  # its end was reported, yet it continues: treat it as a new event
                 self.told[place].over = False
                 self.told[place].severity = 0
-        for i in range(EVENTS + 4):
+        for i in range(TOLD):
             gone = not self.told[i].present
             if gone and (self.told[i].severity == 0 or self.told[i].over or self.told[i].event.end < LASTS):
                 self.told[i].number = 0  # no report needs to be withdrawn
@@ -75,7 +75,7 @@ class Texts(Struct):
             return -1
         best = -1
         least = 0
-        for i in range(EVENTS + 4):
+        for i in range(TOLD):
             if self.told[i].number != 0:
                 grave = self._new(self.told[i], now, most)
                 if grave > 0 and (best < 0 or grave < least):
@@ -126,7 +126,7 @@ class Texts(Struct):
     def _free(self) -> int:
         """Index of a free place, else that of the oldest event."""
         place = 0
-        for i in range(EVENTS + 4):
+        for i in range(TOLD):
             if self.told[i].number == 0:
                 return i
             if self.told[i].number < self.told[place].number:

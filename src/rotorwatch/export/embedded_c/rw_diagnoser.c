@@ -114,7 +114,7 @@ int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications)
     const int count = (int)rw_engine_poll(&d->engine, d->vehicle);
     for (int k = 0; k < count; k++) {
         const rw_change *one = &e->fresh[k];
-        notifications[k].event = one->what == RW_WITHDRAWN ? &e->withdrawn[one->place] : &e->events[one->place];
+        notifications[k].event = one->what == RW_WITHDRAWN ? &e->room.losses[one->place] : &e->events[one->place];
         notifications[k].number = (uint16_t)one->number;
         notifications[k].kind = (uint8_t)one->what;
     }
