@@ -151,7 +151,11 @@ class Engine(Struct):
         for i in range(lost):
             room.losses[i].source = i
         lost = self.trim.growth.join(room.losses, lost, RECORDS)
-        overridden = self.front.deviations.found(v, room.overrides)
+        overridden = 0
+        if self.front.doubting:  # it may have landed, and outputs leave the mixer on the ground
+            overridden = self.front.sure[0].found(v, room.overrides)
+        else:
+            overridden = self.front.deviations.found(v, room.overrides)
         count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
         self.reliance.look(v, self.events, self.count, self.front.start, self.front.newest)

@@ -23,4 +23,4 @@ CONTACTS = 64  # that are kept, the last ones
 FALLS = 32  # the same
 EVENTS = 128  # in one list, the last ones
 LISTED = 128  # losses, or events: the more
-TOLD = 132  # events of which the pilot was told, or will be
+TOLD_EVENTS = 132  # events of which the pilot was told, or will be
