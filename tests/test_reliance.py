@@ -102,7 +102,7 @@ def hovers(vehicle, lost, onset, until):
     """Samples of a hover in which a rotor stops, and the others carry the vehicle."""
     rng, n, B = np.random.default_rng(5), len(vehicle.rotors), vehicle.effectiveness()
     left = np.delete(np.arange(n), lost)
-    gone = np.insert(np.linalg.lstsq(B[:, left], [0.0, 0.0, 0.0, float(n)], rcond=None)[0], lost, 1.0)
+    gone = np.insert(np.linalg.lstsq(B[:, left], [0.0, 0.0, 0.0, float(n)], rcond=None)[0], lost, 1.6)  # its controller asks more of it
     time = np.arange(0.0, until, 0.01)
     rows = np.zeros((6, len(time), board.onboard_law.WIDTH))
     for k, kind in enumerate((board.onboard_law.OUTPUTS, board.onboard_law.GYRO, board.onboard_law.ACCEL, board.onboard_law.ATTITUDE)):
