@@ -68,6 +68,13 @@ def identify(flight: Flight) -> Vehicle | None:
     )
 
 
+def complete(vehicle: Vehicle, flight: Flight) -> Vehicle:
+    """The vehicle of a PX4 log with the curve of its mixer, which is a parameter of its own, where its file does not say it."""
+    if "mixer_expo" in vehicle.extra or not flight.autopilot.lower().startswith("px4"):
+        return vehicle
+    return replace(vehicle, extra={**vehicle.extra, "mixer_expo": mixer_expo(flight)})
+
+
 def place(frame: str) -> tuple[Rotor, ...]:
     """Rotors of one of `FRAMES`, on a circle of radius 1."""
     angles, spins = FRAMES[frame]
