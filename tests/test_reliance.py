@@ -64,6 +64,7 @@ def test_a_rotor_that_is_left_out_stays_out_until_the_next_flight():
     assert looked(r, v, 11.0, loss(4, 0.8)) and r.left_out == 1 << 4 and r.effectiveness[4] == 0.0
     assert (r.decided, r.stands) == (11.0, True) and r.odds == pytest.approx(99.0)
     revision = r.revision
+    assert not looked(r, v, 11.05, loss(4, 0.5)) and r.stands, "it may give half again, and is left out all the same"
     for now in np.arange(11.1, 60.0, 0.1):
         looked(r, v, now)
     assert r.left_out == 1 << 4 and r.revision == revision and not r.stands

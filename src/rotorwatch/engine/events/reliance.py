@@ -54,10 +54,12 @@ class Reliance(Struct):
             low[k] = 1.0
             high[k] = 1.0
         gone = 0
+        named = 0
         odds: Real = 0.0
         for i in range(count):
             e = events[i]
             if e.kind == LOSS and e.alternative_count == 0 and e.end >= LASTS:
+                named |= e.rotors
                 place = 0
                 lost = False
                 for k in range(v.rotors):
@@ -77,7 +79,7 @@ class Reliance(Struct):
             self.decided = now
             self.odds = odds
         self.left_out |= gone
-        self.stands = (self.left_out & ~gone) == 0
+        self.stands = (self.left_out & ~named) == 0
         moves = fresh != 0
         for k in range(v.rotors):
             if (self.left_out & (1 << k)) != 0:
