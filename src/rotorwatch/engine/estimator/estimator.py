@@ -18,7 +18,7 @@ from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.kalman import Measured
 from rotorwatch.engine.estimator.model_error import ERROR_TICKS, Memory, Seen, given, shows_air, unknown_damping
 from rotorwatch.engine.estimator.noise import WHITE, Noise
-from rotorwatch.engine.estimator.opposite import TURNING, Opposite
+from rotorwatch.engine.estimator.opposite import PARTS, TURNING, Opposite
 from rotorwatch.engine.estimator.plant import (
     AIR,
     B1,
@@ -149,9 +149,11 @@ class Estimator(Struct):
         elif self.stage == DECIDED:
             if first == 0:
                 self._decide(p, now, judge, out)
+            elif first <= PARTS:
+                self._suspect(p, now, judge, out, first - 1)
             else:
-                self._choose(p, now, judge, out)
-            size = 2
+                self._choose(p, out)
+            size = PARTS + 2
         elif self.stage == BORN:
             if self.chosen:
                 self.branches.born(p, self.bank, self.evidence, first)
@@ -218,11 +220,15 @@ class Estimator(Struct):
         out.pushed = self.memory.outside(p) > 0.0
         self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
 
-    def _choose(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
-        """Test whether opposite rotors share a loss, and choose the explanations that follow from this tick."""
+    def _suspect(self, p: Plant, now: Inputs, judge: bool, out: Result, part: int) -> None:
+        """Test whether opposite rotors share a loss, a part of it."""
         found = self.evidence
         steady = judge and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
-        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak)
+        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak, part)
+
+    def _choose(self, p: Plant, out: Result) -> None:
+        """Choose the explanations that follow from this tick."""
+        found = self.evidence
         shared = self.opposite.pair >= 0
         out.best = self.opposite.pair if shared else found.first
         out.announced = self.alarm.alarm or shared or (self.alarm.absorbed and found.asked.weak)
