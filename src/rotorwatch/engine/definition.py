@@ -29,6 +29,7 @@ from rotorwatch.engine.estimator import (
     plant,
     plausibility,
     posterior,
+    sudden,
 )
 from rotorwatch.engine.estimator import batch as estimator_whole
 from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
@@ -44,7 +45,7 @@ FRONT = (
     reliance,
 )  # fmt: skip
 ESTIMATOR = (
-    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
+    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator, sudden,
 )  # fmt: skip
 TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes
