@@ -15,8 +15,8 @@ SHORT = 160  # ticks that Python runs in a second or two
 
 
 def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0, share: float = 0.4):
-    """u, y, valid of a flight in which a rotor loses a share, is well again, something pushes the vehicle, and it lands and takes off again;
-    the controller makes up for the loss. Motion is not measured now and then, nor is the speed."""
+    """u, y, valid of a flight in which a rotor loses a share, is well again, something pushes the vehicle, and it lands and takes off
+    again; the controller makes up for the loss. Motion is not measured now and then, nor is the speed."""
     rng, n = np.random.default_rng(seed), B.shape[1]
     when = np.arange(ticks)
     loss = share * np.eye(n)[1] * ((when >= FAILS) & (when < WELL))[:, None]
