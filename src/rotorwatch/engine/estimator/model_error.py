@@ -212,8 +212,7 @@ class Memory(Struct):
             for i in range(n):
                 total += p.effect[a][i] * p.effect[a][i] * square[i]
                 bent += p.effect[a][i] * bends[i]
-            total += bent * bent
-            out[a] = ERROR_TICKS * total
+            out[a] = ERROR_TICKS * total + bent * bent
             if now.valid[a]:
                 self.wrench[a] = now.wrench[a]
 
