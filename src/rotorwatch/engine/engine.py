@@ -120,7 +120,7 @@ class Engine(Struct):
             self.sudden.accel(x[2])
         elif kind == GYRO:
             sense = self.front.sense
-            flies = self.front.start < LASTS and not self.front.doubting and self.made.mode == JUDGE and not self.made.upset
+            flies = self.front.start < LASTS and self.made.mode == JUDGE and not self.made.upset
             if self.sudden.gyro(v, time, x, sense.newest, sense.known, flies):
                 self.losses.suspect(self.sudden.named, self.sudden.mates, time, self.sudden.onset)
 

@@ -39,7 +39,7 @@ EXCITED = 9.0  # variances of x that a command must exceed for g to be learned f
 ANGLE = 0.2  # tangent of the angle between x and the rotor's direction
 PART = 0.08  # of x in each third of h, at least
 ASKED = 0.25  # of x that a changed command explains, at most
-LOAD_G = 0.05  # g by which the load factor may differ, on top of half the expected change and three standard deviations
+LOAD_G = 0.1  # g by which the load factor may differ, on top of half the expected change and three standard deviations
 SLOW = 3.0  # rad/s of roll and pitch rate: above, the vehicle tumbles
 SAME = 2
 REST_S = 2.0  # after an alarm
@@ -265,7 +265,7 @@ class Sudden(Struct):
         loss = size / max(self.thrust[best], 0.3)
         wrong = max(self.wrong[ROLL], self.wrong[PITCH])
         if (
-            loss < LEAST / (1.0 + 0.5 * wrong)
+            loss < LEAST / (1.0 + 1.5 * wrong)
             or loss > MOST * (1.0 + 3.0 * wrong)
             or max(abs(self.rate[self._place(age)][ROLL]), abs(self.rate[self._place(age)][PITCH])) > SLOW
         ):
@@ -278,7 +278,7 @@ class Sudden(Struct):
         if not self._grew(age, r / self.gain[ROLL], q / self.gain[PITCH], square * h):
             return -1
         missing = size / real(v.rotors)
-        spread = LOAD_G + 0.3 * missing + 3.0 * sqrt(self.load_variance[k])
+        spread = LOAD_G + 0.5 * missing + 3.0 * sqrt(self.load_variance[k])
         return best if abs(lifted + missing) < spread else -1
 
     def _grew(self, age: int, roll: Real, pitch: Real, whole: Real) -> bool:
