@@ -28,7 +28,6 @@ from rotorwatch.engine.estimator import (
     plant,
     plausibility,
     posterior,
-    sudden,
 )
 from rotorwatch.engine.estimator import batch as estimator_whole
 from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
@@ -41,7 +40,7 @@ from rotorwatch.flight import Flight, Message
 
 FRONT = (decisions, vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words, texts)
 ESTIMATOR = (
-    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator, sudden,
+    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
 TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes
