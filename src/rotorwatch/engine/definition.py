@@ -29,7 +29,6 @@ from rotorwatch.engine.estimator import (
     plant,
     plausibility,
     posterior,
-    sudden,
 )
 from rotorwatch.engine.estimator import batch as estimator_whole
 from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
@@ -45,7 +44,7 @@ FRONT = (
     reliance,
 )  # fmt: skip
 ESTIMATOR = (
-    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator, sudden,
+    plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
 TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes

@@ -16,7 +16,6 @@ from rotorwatch.engine.drift.weighing import IDLE
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
-from rotorwatch.engine.estimator.sudden import Sudden
 from rotorwatch.engine.events.changes import Change, Changes
 from rotorwatch.engine.events.events import Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
@@ -24,7 +23,7 @@ from rotorwatch.engine.events.records import Found, Records
 from rotorwatch.engine.events.reliance import Reliance
 from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.deviations import Override
-from rotorwatch.engine.intake.front import ACCEL, GYRO, Front
+from rotorwatch.engine.intake.front import Front
 from rotorwatch.engine.intake.sense import Plan
 from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
@@ -47,7 +46,6 @@ class Engine(Struct):
 
     front = embedded(Front)
     estimator = embedded(Estimator)
-    sudden = embedded(Sudden)
     losses = embedded(Losses)
     report = embedded(Report)
     trim = embedded(Trim)
@@ -71,7 +69,6 @@ class Engine(Struct):
     def begin(self, e: Plant) -> None:
         """Before the first sample."""
         self.estimator.begin(e)
-        self.sudden.begin_with(e)
 
     def push(self, v: Vehicle, p: Plan, kind: int, time: Time, x: Reals) -> None:
         """Add a sample and leave its work to `work`, to be called until it returns False. Waiting ticks are processed at PACE times the
@@ -117,13 +114,6 @@ class Engine(Struct):
         was = self.front.start
         self.front.sample(v, p, kind, time, x)
         self._look(was)
-        if kind == ACCEL:
-            self.sudden.accel(x[2])
-        elif kind == GYRO:
-            sense = self.front.sense
-            flies = self.front.start < LASTS and self.made.mode == JUDGE and not self.made.upset
-            if self.sudden.gyro(v, time, x, sense.newest, sense.known, flies):
-                self.losses.suspect(self.sudden.named, self.sudden.mates, time, self.sudden.onset)
 
     def end(self, v: Vehicle, p: Plan, time: Time) -> None:
         """No sample comes after `time` s."""
@@ -186,8 +176,6 @@ class Engine(Struct):
         found = Found()
         _find(v, self.out, found)
         self.losses.write(v, tick.time, tick.when, tick.mode, tick.restart, found)
-        if tick.mode == JUDGE and tick.valid[ROLL] and tick.time > self.losses.suspected:
-            self.losses.wait(real(p.dt))
         self.report.tick(tick.time, tick.start, tick.upset)
         if tick.touch.is_new:
             self.report.contact(tick.touch.time, tick.touch.push, tick.touch.size)

@@ -72,8 +72,8 @@ class Losses:
 
     @property
     def announcements(self) -> int:
-        """Number of announcements so far, of the fast comparison and its withdrawals too."""
-        return sum(int(self.state[name][0]) for name in ("announcements", "suspicions", "refuted"))
+        """Number of announcements so far."""
+        return int(self.state["announcements"][0])
 
     def events(self, flies: bool = False) -> tuple[Event, ...]:
         """The losses so far. flies: the flight continues, and a recent announcement may still turn out to be a pair."""

@@ -41,7 +41,6 @@ from rotorwatch.engine.intake.ticks import JUDGE
 CURVE_SHARE = 0.12
 COAXIAL_SHARE = 0.135  # the same with the division of thrust in a coaxial arm: half of the error of the lower rotors' share
 PAIR_WEIGHT = 1e-4  # prior weight of a pair relative to a single rotor
-CONFIRM_S = 1.5  # of judged flight in which an alarm of the fast comparison must be confirmed
 YOUNG_S = 1.0  # time after an announcement within which a pair mistaken for one rotor becomes distinguishable from it
 WITHIN_95 = 1.96  # standard deviations of a 95 % interval
 CANCELS = 0.05  # share of the largest lever arm below which the sum of two torques counts as 0
@@ -68,39 +67,9 @@ class Losses(Struct):
     hiding: Mask = 0  # as in Record, of the last announcement
     hider: Small = 0
     hidden = array(FLAG, PAIRS)
-    sudden: Small = -1  # rotor that the fast comparison suspects and no announcement has confirmed, -1: none
-    mates: Mask = 0  # other rotors of its arm
-    suspected: Time = -LASTS  # s, since when
-    sudden_onset: Time = -LASTS
-    patience: Real = 0.0  # s of judged flight in which it may still be confirmed
-    suspicions: int = 0  # number so far
-    refuted: int = 0  # of them withdrawn
     announced: bool = False  # there was an announcement in this flight
     flown: bool = False  # a tick of this flight was assessed
     announcements: int = 0  # number so far
-
-    def suspect(self, rotor: int, mates: int, time: Time, onset: Time) -> None:
-        """Take an alarm of the fast comparison: a loss of one of the rotors of an arm at `onset` s. It is told at once; an announcement of
-        these rotors confirms it and takes over its time, one of others, or CONFIRM_S of judged flight without any, withdraws it."""
-        if self.sudden >= 0 or (int(self.latest.active[0]) & ((1 << rotor) | mates)) != 0:
-            return
-        self.sudden = rotor
-        self.mates = mates
-        self.suspected = time
-        self.sudden_onset = onset
-        self.suspicions += 1
-        self.patience = CONFIRM_S
-
-    def refute(self) -> None:
-        """Withdraw it."""
-        self.sudden = -1
-        self.refuted += 1
-
-    def wait(self, seconds: Real) -> None:
-        """So much longer the comparison could have confirmed it: in a fall it cannot."""
-        self.patience -= seconds
-        if self.sudden >= 0 and self.patience <= 0.0:
-            self.refute()
 
     def write(self, v: Vehicle, time: Time, when: Time, mode: int, restart: bool, found: Found) -> None:
         """Add the next tick; call it for every tick in order, on the ground as well. time: of the tick, s; when: mean time of its commands,
@@ -137,13 +106,6 @@ class Losses(Struct):
                 self.latest.gives = max(self.latest.gives, found.gives[k])
             if found.announced or self.latest.active[0] != led:
                 self.latest.found = time
-                fresh = int(self.latest.active[0]) & ~int(self.before)
-                if self.sudden >= 0 and fresh != 0:
-                    if (fresh & ((1 << self.sudden) | self.mates)) != 0:
-                        self.latest.found = self.suspected
-                        self.sudden = -1
-                    else:
-                        self.refute()
                 for k in range(v.rotors):  # restart the estimates of rotors without a final record
                     if (self.before & (1 << k)) == 0:
                         reset(self.courses[k])
@@ -182,25 +144,7 @@ class Losses(Struct):
             self._event(v, records.all[order[i]], flies, out[count])
             if not _momentary(records.all[order[i]], out[count], records):
                 count += 1
-        if self.sudden >= 0 and flies and count < RECORDS:
-            self._told(out[count])
-            count += 1
         return count
-
-    def _told(self, e: Event) -> None:
-        """The loss that is suspected, as an event: more than half of a rotor, of any on its arm."""
-        reset(e)
-        e.onset = self.sudden_onset
-        e.detected = self.suspected
-        e.rotors = 1 << self.sudden
-        e.loss[0] = 0.75
-        e.lower[0] = 0.5
-        e.upper[0] = 1.0
-        e.probability = 1.0
-        for j in range(ROTORS):
-            if (self.mates & (1 << j)) != 0:
-                e.probability = 0.5
-                _name(e, 1 << j)
 
     # Times
 
@@ -283,7 +227,7 @@ class Losses(Struct):
             return
         place = to.add()
         to.all[place].onset = began.time
-        to.all[place].detected = max(at.found, began.time)
+        to.all[place].detected = at.found
         to.all[place].rotors = fresh
         to.all[place].hiding = self.hiding
         to.all[place].hider = self.hider
@@ -297,7 +241,7 @@ class Losses(Struct):
                 to.of[k] = place
 
     def _landed(self, v: Vehicle) -> None:
-        """End the flight: a suspicion is withdrawn; losses that lasted until the landing end at the last assessed tick."""
+        """End the flight: losses that lasted until the landing end at the last assessed tick."""
         if self.flown:
             self._conclude(v, self.records, self.judged)
             for k in range(v.rotors):
@@ -310,7 +254,6 @@ class Losses(Struct):
         self.announced = False
         self.flown = False
         self.before = 0
-        self.sudden = -1
 
     # Data recorded at an announcement
 

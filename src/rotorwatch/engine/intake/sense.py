@@ -204,8 +204,6 @@ class Sense(Struct):
     gyros = embedded(Samples)
     accels = embedded(Samples)
     levels = embedded(Levels)
-    newest = array(REAL, ROTORS)  # last thrusts that are all known, shares of full thrust
-    known: Time = -LASTS  # s, when these were commanded
     velocity = array(REAL, 3)  # last velocity, north, east, down, m/s; NaN if unknown
     moved: Time = -LASTS  # s, when that was
     bins = array(Bin, WAITING)  # by number of the tick
@@ -223,10 +221,6 @@ class Sense(Struct):
 
     def thrust(self, v: Vehicle, p: Plan, time: Time, thrust: Reals, ok: bool) -> None:
         """Add thrusts commanded at `time` s, shares of full thrust; ok: all are known."""
-        if ok:
-            self.known = time
-            for i in range(v.rotors):
-                self.newest[i] = thrust[i]
         if not self.begun:
             self.begun = True
             self.origin = floor((time - p.phase) / p.dt) * p.dt + p.phase + 0.5 * p.dt
