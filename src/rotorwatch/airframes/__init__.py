@@ -58,9 +58,10 @@ def of(flight: Flight, vehicle: Vehicle | None = None) -> Vehicle:
     if vehicle is None:
         return identify(flight)
     check(vehicle, flight)
+    craft = vehicle
     for module in modules():
-        vehicle = module.complete(vehicle, flight) if hasattr(module, "complete") else vehicle
-    return vehicle
+        craft = module.complete(craft, flight) if hasattr(module, "complete") else craft
+    return craft
 
 
 def check(vehicle: Vehicle, flight: Flight) -> None:

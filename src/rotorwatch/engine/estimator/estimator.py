@@ -156,11 +156,13 @@ class Estimator(Struct):
             size = PARTS + 2
         elif self.stage == BORN:
             if self.chosen:
-                self.branches.born(p, self.bank, self.evidence, first)
-                if first == PLACES - 1:
+                if first % 2 == 0:
+                    self.branches.jump(p, self.bank, self.evidence, first // 2)
+                else:
+                    self.branches.born(p, self.bank, first // 2)
+                if first == 2 * PLACES - 1:
                     self.bank.forget()
-            else:
-                size = 1
+            size = 2 * PLACES if self.chosen else 1
         else:
             self._learn(p, now, flying)
             self._tell(p, now, out)

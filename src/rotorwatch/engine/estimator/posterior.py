@@ -183,15 +183,18 @@ class Branches(Struct):
         if considered:
             self.age = 0.0
 
-    def born(self, p: Plant, bank: Bank, found: Evidence, k: int) -> None:
+    def jump(self, p: Plant, bank: Bank, found: Evidence, k: int) -> None:
+        """Size the jump of the explanation chosen for place k, which `born` then makes."""
+        found.pick(p, bank, int(self.which[k]), self.best)
+        found.shift(p, bank, self.best, self.shift)
+
+    def born(self, p: Plant, bank: Bank, k: int) -> None:
         """Make the explanation chosen for place k: the parent with the jump of that hypothesis, identical to a filter augmented by this
         jump."""
         n = p.rotors
         h = int(self.which[k])
         out = self.all[k]
         best = self.best
-        found.pick(p, bank, h, best)
-        found.shift(p, bank, best, self.shift)
         copy(out, self.parent)
         out.weight = self.start[k]
         if bank.age(best.slot) >= 0.0:
