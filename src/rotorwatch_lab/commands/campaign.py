@@ -115,8 +115,8 @@ def ablate(plan, logs, flights, hours, only, variants, witnesses, jobs, schedule
     type=click.Choice(["estimate", "bounds", "posterior", "certified"]),
     default="estimate",
     show_default=True,
-    help="Of what is believed: the mean, the worst case within its interval, all explanations with their weights, or the mean once acting "
-    "on it is better for all that is possible.",
+    help="Of what is believed: the mean, the worst case within its interval, all explanations with their weights, or the mean as far as "
+    "acting on it is no worse for all that is possible.",
 )
 @spread
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")
