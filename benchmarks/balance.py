@@ -4,9 +4,10 @@
 
 Simulated: quadrotors and hexarotors with an accelerometer and speeds at 500 Hz (or telemetry at 50 Hz), healthy ones, ones with a rotor
 whose imbalance doubles in flight, and ones with a chipped blade, which lost a piece that shifts 1.2e-4 radii (5 % of its length: 3 % of a
-blade of 0.4 % of the vehicle's mass) or twice that. In closed loop: quadrotors, hexarotors and coaxial octorotors in wind, whose rotors
-differ by up to 8 %, are diagnosed like any log, with the witness and without it; a rotor loses 5 or 10 % of its thrust with a piece of a
-blade, or none does. Real: in each flight of a folder the tone of each rotor in turn doubles at its middle.
+blade of 0.4 % of the vehicle's mass) or twice that; and ones with commands and an accelerometer at 1 kHz, without speeds. In closed loop:
+quadrotors, hexarotors and coaxial octorotors in wind, whose rotors differ by up to 8 %, are diagnosed like any log, with the witness and
+without it; a rotor loses 5 or 10 % of its thrust with a piece of a blade, or none does. Real: in each flight of a folder the tone of each
+rotor in turn doubles at its middle.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     """The imbalance of each rotor in the flights `air` ((start, end), ...) s; None where the log cannot hear."""
     if not air or hearing.deaf(flight, rotors) is not None:
         return None
-    reported, sure = hearing.speeds(flight, rotors), np.ones(rotors, bool)
+    reported, usual, sure = hearing.speeds(flight, rotors), np.zeros(rotors), np.ones(rotors, bool)
     channel = hearing.open_channel(flight)
     if reported is not None:
         turning = reported[2] & (reported[1] > orders.STANDING) & within(reported[0], air)[:, None]

@@ -131,7 +131,7 @@ class _Search:
 
     def steps(self, w: _Windows, span: float) -> np.ndarray:
         """Offsets of gains in quarters of what a window resolves."""
-        step = 0.25 / (self.hz * (self.time[w.rows[0, -1]] - self.time[w.rows[0, 0]]))
+        step = 0.25 / (self.hz * float(self.time[w.rows[0, -1]] - self.time[w.rows[0, 0]]))
         return np.arange(-round(span / step), round(span / step) + 1) * step
 
     def windows(self, length_s: float, span: float = 0.0) -> _Windows | None:
@@ -155,9 +155,9 @@ class _Search:
         """(W, n, R) exp(-j angle) of the rotors as predicted, the angle from the middle of each window."""
         t = self.time[w.rows]
         speed = (hz or self.hz) * np.exp(self.curve * self.at(t, self.log) + self.gains + (w.knots @ self.common)[:, None, None])
-        turns = np.zeros(speed.shape)
+        turns = np.zeros_like(speed)
         np.cumsum(0.5 * (speed[:, 1:] + speed[:, :-1]) * np.diff(t, axis=1)[..., None], axis=1, out=turns[:, 1:])
-        angle = (2.0 * np.pi * np.remainder(turns - turns[:, turns.shape[1] // 2, None], 1.0)).astype(np.float32)
+        angle = (2.0 * np.pi * np.remainder(turns - turns[:, t.shape[1] // 2, None], 1.0)).astype(np.float32)
         tones = np.empty(angle.shape, np.complex64)
         tones.real, tones.imag = np.cos(angle), -np.sin(angle)
         return tones
@@ -194,8 +194,7 @@ class _Search:
         the offsets."""
         rest = w.values
         if others:
-            z = tones[:, :, others]
-            X = np.concatenate([z.real, z.imag], axis=2)
+            X = np.concatenate([np.real(tones[:, :, others]), np.imag(tones[:, :, others])], axis=2)
             gram = X.transpose(0, 2, 1) @ X + RIDGE * X.shape[1] * np.eye(X.shape[2], dtype=np.float32)
             rest = rest - X @ np.linalg.solve(gram, X.transpose(0, 2, 1) @ rest)
         rest = rest * w.taper[:, None]
@@ -267,7 +266,7 @@ class _Search:
             axis=2,
         ).reshape(W * self.rotors, -1)  # fmt: skip
         usual = np.r_[np.full(self.rotors, SPREAD), np.full(self.knots.size, 0.03), 0.2, 0.02]
-        robust = weight
+        robust, step = weight, np.zeros(X.shape[1])
         for _ in range(3):
             step = np.linalg.solve((X.T * robust) @ X + np.diag(3e-4 / usual**2), X.T @ (robust * off))
             left = np.abs(off - X @ step)
