@@ -31,6 +31,8 @@ DURATION_S, RATE_HZ = 60.0, 500.0
 CASES = {
     "healthy": {}, "doubled": {"times": 2.0}, "doubled, telemetry at 50 Hz": {"times": 2.0, "telemetry_hz": 50.0},
     "healthy, telemetry at 50 Hz": {"telemetry_hz": 50.0}, "chipped 5 %": {"chip": 1.0}, "chipped 10 %": {"chip": 2.0},
+    "doubled, no speeds at 1 kHz": {"times": 2.0, "rate_hz": 1000.0, "speeds": False},
+    "healthy, no speeds at 1 kHz": {"rate_hz": 1000.0, "speeds": False},
 }  # fmt: skip
 
 
@@ -54,7 +56,7 @@ def one(task: tuple[int, int, str]) -> str:
     if chip:
         usual = np.exp(np.random.default_rng([seed, rotors]).uniform(np.log(500.0), np.log(2000.0)))  # as `simulated` draws it
         more["adds"] = vibration.chip(0.05 * chip, float(usual))
-    drawn = imbalance.simulated(seed, rotors, DURATION_S, RATE_HZ, **more)
+    drawn = imbalance.simulated(seed, rotors, DURATION_S, **{"rate_hz": RATE_HZ, **more})
     return outcome(imbalances.listen(drawn.flight, rotors, ((0.0, DURATION_S),)), drawn)
 
 

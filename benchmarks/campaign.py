@@ -35,6 +35,7 @@ from rotorwatch.toolkit import Case
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import batch, open_world
 from rotorwatch_lab.campaign.plan import Plan
+from rotorwatch_lab.published import log_plant
 from rotorwatch_lab.simulation import logbook, loop, prepare
 from rotorwatch_lab.simulation.multirotor import MULTIROTOR
 
@@ -42,7 +43,7 @@ BY_TICKS = {
     "flights simulated, logged, turned into ticks": (batch, "fly"),
     "bounds": (batch, "_bounds"),
     "default estimator": (batch, "by_default"),
-    "learning for published ones": (batch, "learned_states"),
+    "learning for published ones": (log_plant, "hops"),
 }
 BY_LOGS = {
     "flights drawn": (open_world, "flight_plan"),

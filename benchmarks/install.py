@@ -1,4 +1,4 @@
-"""What an installation takes: `python benchmarks/install.py SOURCE...` (wheels or folders of sources), in an environment with pip.
+"""What an installation takes: `python benchmarks/install.py [--clone] SOURCE...` (wheels or folders of sources), where pip is installed.
 
 For a wheel, a row each for pip, uv, uvx and `pipx run`, of those that are here. The wheel and what it needs are fetched first, into a
 folder; from it each tool installs with empty caches, without a network and with no compiler in reach, as under `env -i HOME PATH LANG`.
@@ -6,7 +6,8 @@ A sample is then judged twice, and the demo is run. uv and uvx do not compile Py
 for it. Times are by the clock, with the processor's time in brackets; a busy computer makes the first longer than the second.
 
 A folder of sources is installed by pip with the compiler that is here. Of pip's installations the largest packages are listed, without
-pip and setuptools, which the empty environment has.
+pip and setuptools, which the empty environment has. --clone: it is not installed, but judges from where it lies, as after `git clone`, in
+this environment: the first verdict compiles machine code and Python's files; several folders take turns, --rounds times.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import sys
 import tempfile
 import time
 import venv
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -147,10 +149,31 @@ def of_sources(source: str) -> None:
             print(f"  {size:6.1f} MB  {name}")
 
 
+def of_clones(sources: Sequence[str], rounds: int) -> None:
+    """Measure and print the first and the second verdict of sources that are not installed, the least of each."""
+    took: dict[str, list[tuple[Took, Took]]] = {}
+    for source in [*sources] * rounds:
+        with tempfile.TemporaryDirectory() as scratch:
+            shutil.copytree(Path(source) / "src", Path(scratch) / "src", ignore=shutil.ignore_patterns("built", "__pycache__"))
+            env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+            env |= {"PYTHONPATH": str(Path(scratch) / "src"), "ROTORWATCH_CACHE": str(Path(scratch) / "cache")}
+            env |= {"PYTHONPYCACHEPREFIX": str(Path(scratch) / "pyc")}
+            first, second = (timed(sys.executable, "-m", "rotorwatch", "diagnose", SAMPLE, env=env, said=FOUND) for _ in range(2))
+            took.setdefault(source, []).append((first, second))
+    for source, both in took.items():
+        first, second = (min(some, key=lambda one: one.cpu) for some in zip(*both, strict=True))
+        print(f"{source}: first verdict in {first} s, second in {second} s")
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sources", nargs="+", metavar="SOURCE", help="a wheel, or a folder of sources")
-    for given in parser.parse_args().sources:
+    parser.add_argument("--clone", action="store_true", help="do not install folders of sources")
+    parser.add_argument("--rounds", type=int, default=1)
+    arguments = parser.parse_args()
+    if arguments.clone:
+        of_clones(arguments.sources, arguments.rounds)
+    for given in [] if arguments.clone else arguments.sources:
         if given.endswith(".whl"):
             of_wheel(Path(given))
         else:

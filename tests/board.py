@@ -148,13 +148,15 @@ def build(name: str, library: Path, folder: Path, optimise: str = "-O1", more: t
 @dataclass
 class Flown:
     """What came out. texts: (time s, severity, text); records: of a name, rows of numbers by label; verdict: the last; size: what the
-    program says of the glue: bytes, threads; left: work items of PX4 after the module was stopped."""
+    program says of the glue: bytes, threads; left: work items of PX4 after the module was stopped; factors: (time s, (12, 4) of each motor:
+    roll, pitch, yaw, throttle) that are loaded into ArduPilot's mixer, or PX4's effectiveness of a matrix of ones."""
 
     texts: list[tuple[float, int, str]] = field(default_factory=list)
     records: dict[str, list[dict[str, float]]] = field(default_factory=dict)
     verdict: int = -1
     size: tuple[int, int] = (0, 0)
     left: int = 0
+    factors: list[tuple[float, np.ndarray]] = field(default_factory=list)
 
     def events(self) -> list[dict[str, float]]:
         """The events that stand at the end, as the last record of each says."""
@@ -178,6 +180,8 @@ def fly(program: Path, table: np.ndarray, folder: Path, *words: str) -> Flown:
             flown.records.setdefault(rest[0], []).append(row)
         elif kind == "verdict":
             flown.verdict = int(rest[0])
+        elif kind == "factors":
+            flown.factors.append((float(rest[0]), np.array(rest[1:], float).reshape(12, 4)))
         elif kind == "left":
             flown.left = int(rest[0])
         elif kind == "size":
@@ -253,7 +257,8 @@ def in_shares(what: Shown) -> Shown:
     rows = table[:, 0] == onboard_law.OUTPUTS
     table[rows, 3 : 3 + n] = (table[rows, 3 : 3 + n] - 1000.0) / 1000.0
     curve = replace(curve, u_min=(curve.u_min - 1000.0) / 1000.0, u_max=(curve.u_max - 1000.0) / 1000.0)
-    return replace(what, table=table, craft=replace(what.craft, curve=curve))
+    extra = {**what.craft.extra, "mixer_expo": curve.expo}
+    return replace(what, table=table, craft=replace(what.craft, curve=curve, extra=extra))
 
 
 def library(what: Shown, folder: Path) -> Path:

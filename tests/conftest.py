@@ -21,6 +21,7 @@ from rotorwatch import airframes
 from rotorwatch.answer import from_takeoff, places
 from rotorwatch.answer.conclusion import Evidence, conclude
 from rotorwatch.answer.ledger import open_claims
+from rotorwatch.base.compiling import running
 from rotorwatch.flight.diagnosis import Diagnosis, Event, Trace
 from rotorwatch_lab.compiling import native
 
@@ -53,6 +54,19 @@ os.environ.setdefault("XLA_FLAGS", _quick_flags())
 os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"] = "0"  # nobody reads where in our files an operation of a program came from
 
 native.BIG, native.QUICK = 0, ("-O0",)  # so are published methods as C
+
+_build = running.Definition.build
+
+
+def _quickly_built(definition, *place):
+    """An engine with other constants flies some hundred ticks: less optimised it is built sooner, and calculates the same bits."""
+    with pytest.MonkeyPatch.context() as patch:
+        if definition._other:
+            patch.setattr(running, "VECTORS", ("-O1", *running.VECTORS[1:]))
+        return _build(definition, *place)
+
+
+running.Definition.build = _quickly_built
 
 # JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
 gc.set_threshold(50_000, 20, 50)

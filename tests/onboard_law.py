@@ -11,6 +11,7 @@ from rotorwatch import airframes
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.air_spans import output_range
 from rotorwatch.export import export_diagnoser
+from rotorwatch.flight.vehicle import Vehicle
 
 OUTPUTS, ACCEL, GYRO, VELOCITY, STATE, CONTROL, ATTITUDE, BATTERY = range(8)
 # Of the same time, in the order of engine/intake/front.py.
@@ -167,9 +168,9 @@ def looped(table: np.ndarray, hz: float) -> np.ndarray:
     return every[np.lexsort(([FIRST[int(k)] for k in every[:, 0]], every[:, 1]))]
 
 
-def on_board(flight, hz: float) -> Flown:
-    """The flight as a loop of hz feeds it, and the library as `export-c` writes it for these rates."""
-    craft = airframes.identify(flight)
+def on_board(flight, hz: float, craft: Vehicle | None = None) -> Flown:
+    """The flight as a loop of hz feeds it, and the library as `export-c` writes it for these rates. craft: where the log does not say."""
+    craft = airframes.identify(flight) if craft is None else craft
     known, raw = craft.identified or {}, table(flight, craft)
 
     def rate(name):

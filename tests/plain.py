@@ -73,11 +73,11 @@ def tick(u: np.ndarray, n: int) -> Inputs:
     )  # fmt: skip
 
 
-def measured(p: Plant, u: np.ndarray, s: np.ndarray | None = None, usual: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def measured(p: Plant, u: np.ndarray, s: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """h (4, states) and drag (n,) of a tick whose inputs are a row u (n + 13,); s: state, zeros where there is none."""
     now, out, states = tick(u, p.rotors), Rows(), THETA + p.rotors
     s = np.zeros(states) if s is None else s
-    rows(p, now, now.thrust, now.forward, now.right, s.tolist(), usual, out)
+    rows(p, now, now.thrust, now.forward, now.right, s.tolist(), out)
     return array(out.h, 4, states), array(out.drag, p.rotors)
 
 

@@ -3,6 +3,8 @@ hover (`control.spinning`, after Mueller and D'Andrea). The commands to a lost r
 
 from __future__ import annotations
 
+import copy
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -24,9 +26,19 @@ DEMANDED = 0.9  # share of full thrust, of a rotor that does not answer
 SHAKES, DRIFTS = 0.6, 0.02  # m/s^2, rad/s: noise of the sensors
 
 
-def fly(losses: tuple[tuple[float, tuple[int, ...]], ...], seconds: float, seed: int, hz: float = 20.0) -> tuple[Flight, Vehicle]:
+Losses = tuple[tuple[float, tuple[int, ...]], ...]
+
+
+def fly(losses: Losses, seconds: float, seed: int, hz: float = 20.0) -> tuple[Flight, Vehicle]:
     """A flight, and its vehicle. losses: ((time after HOVER_S [s], rotors from 0 that stop then, or none where all work again), ...); hz:
     of the logged commands."""
+    rows, rng, vehicle = _flown(losses, seconds, seed)
+    return _logged(rows, copy.deepcopy(rng), hz), vehicle
+
+
+@functools.cache
+def _flown(losses: Losses, seconds: float, seed: int) -> tuple[dict[str, np.ndarray], np.random.Generator, Vehicle]:
+    """Every step of a flight, the generator of its log's noise, and its vehicle."""
     table = scenario.from_table({"airframe": {"frame": "quad-x", "ground_effect": False}})
     craft, vehicle = prepare.plan(table).craft, prepare.vehicle(table)
     vehicle = replace(vehicle, curve=ThrustCurve(0.0, 1.0, 0.0), mixer=None, extra={})
@@ -38,7 +50,7 @@ def fly(losses: tuple[tuple[float, tuple[int, ...]], ...], seconds: float, seed:
     w, state = np.sqrt(control.hover.u), control.init()
     for begin, end, stop in zip(times, times[1:], [(), *(who for _, who in losses)]):
         works = np.where(np.isin(np.arange(n), stop), 0.0, works) if stop else np.ones(n)
-        for until, knows in ((min(begin + KNOWS_S, end), False), (end, True)):
+        for until, knows in ((min(begin + KNOWS_S, end), False), (end, True)) if begin else ((end, True),):
             if knows and begin > KNOWS_S:
                 control = SpinningHover(airframe, works, DT)
                 state = control.init()._replace(f=jnp.asarray(w**2 * works))
@@ -48,7 +60,7 @@ def fly(losses: tuple[tuple[float, tuple[int, ...]], ...], seconds: float, seed:
             u = np.where(works > 0.0, rows["u"], DEMANDED if knows else rows["u"])
             parts.append({**rows, "u": u})
             begin = until
-    return _logged({name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, rng, hz), vehicle
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, rng, vehicle
 
 
 def _run(craft, control, start, kicks, theta):

@@ -1,5 +1,6 @@
 """Frames: published motor positions, what logs say, contradictions."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes, logs
 from rotorwatch.airframes import ardupilot
+from rotorwatch.engine.motion import allocation
 from rotorwatch.errors import VehicleError
-from rotorwatch.flight import Flight, Message, Signal
+from rotorwatch.flight import Flight, Message, Signal, vehicle
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 needs_flights = pytest.mark.skipif(not FLIGHTS.is_dir(), reason="the shared test flights are not beside the repository")
@@ -260,6 +262,18 @@ def test_px4_airframe_numbers(start, frame):
     vehicle = airframes.identify(flight("PX4", parameters={"SYS_AUTOSTART": start}))
     assert vehicle.name == f"px4-{frame}"
     assert not vehicle.curve.known
+
+
+def test_the_curve_of_px4_s_mixer_is_a_parameter_of_its_own():
+    """Not the one of a vehicle file that does not say it; a file's own word counts, and other autopilots mix by the vehicle's curve."""
+    curve = vehicle.ThrustCurve(0.0, 1.0, 0.65)
+    given = replace(airframes.named("px4-quad-x"), curve=curve, extra={})
+    for parameters, expo in (({}, 0.0), ({"THR_MDL_FAC": 0.3}, 0.3)):
+        log = flight("PX4", parameters=parameters)
+        assert allocation.mixer_curve(airframes.of(log, given)).expo == pytest.approx(expo)
+    assert allocation.mixer_curve(airframes.of(log, replace(given, extra={"mixer_expo": 0.5}))).expo == 0.5
+    assert airframes.of(flight(parameters={"FRAME_CLASS": 1.0}), given) is given
+    assert allocation.mixer_curve(airframes.named("px4-quad-x")).expo == 0.0 < allocation.mixer_curve(given).expo
 
 
 def test_px4_vtol_is_refused():

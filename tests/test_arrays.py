@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rotorwatch.base.arrays import distinct, median, quantile
+from rotorwatch.base.arrays import distinct, median, quantile, unique
 
 
 @pytest.mark.parametrize("kind", [float, int, np.uint16, np.float32])
@@ -31,3 +31,5 @@ def test_a_quantile_is_numpys_bit_for_bit(kind):
 def test_distinct_values_are_numpys():
     for values in ([], [1.0], [1.0, 1.0, 2.0, 3.0, 3.0]):
         assert distinct(np.array(values)).tolist() == np.unique(values).tolist()
+    for values in ([], [3, 1, 3, 2], [[2, 1], [1, 2]]):
+        assert unique(np.array(values, np.uint8)).tolist() == np.unique(values).tolist()

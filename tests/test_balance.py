@@ -524,6 +524,20 @@ def test_a_simulated_flight_in_which_an_imbalance_grew(autopilot, name, tmp_path
     assert found.verdict == "healthy"
 
 
+def test_unlike_tracks_of_blades_shake_once_per_turn_along_the_axis_and_where_they_pass():
+    table = {
+        "duration_s": 40.0, "seed": 3, "wind": {"speed_m_s": 3.0}, "airframe": {"frame": "quad-x", "rotor_spread": 0.1},
+        "logging": {"esc": True, "raw_hz": 1000.0},
+    }  # fmt: skip
+    smooth, rough = (simulate(scenario.from_table({**table, "sensors": {"track_error": size}})).flight for size in (0.0, 6.0))
+    shake = rough["raw_accel"].values - smooth["raw_accel"].values
+    assert np.abs(shake[:, :2]).max() < 1e-9 < np.abs(shake[:, 2]).max()
+    air = ((10.0, 30.0),)
+    before, after = (imbalances.listen(flight, 4, air) for flight in (smooth, rough))
+    assert values(before).max() < 0.5 < 1.5 < np.nanmax(values(after))
+    assert max(f.blades for f in after.figures) > 1.5
+
+
 def test_an_unbalance_put_into_a_flight_is_found_there_alone():
     flight = flown([1.0, 0.5, 1.2, 0.6], duration=30.0)
     for rotor, own in enumerate((1.0, 0.5, 1.2, 0.6), 1):

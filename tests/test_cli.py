@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import rotorwatch
+import rotorwatch.calibrate  # imported first by a test of `fake`, it would keep that diagnoser for the tests of other files
 from conftest import hexa_diagnosis
 from rotorwatch.commands import cli
 from rotorwatch.errors import LogError

@@ -11,7 +11,7 @@ from rotorwatch.engine.bindings import program
 from rotorwatch.engine.estimator.estimator_sizes import PLACES
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.campaign import batch, closed_loop, plan, store
-from rotorwatch_lab.control import spinning
+from rotorwatch_lab.control import certified, spinning
 from rotorwatch_lab.control.allocation import believed, rows
 from rotorwatch_lab.simulation import control, loop, prepare, reconfigured, record_of, scenario
 from rotorwatch_lab.simulation.multirotor import MULTIROTOR
@@ -190,6 +190,57 @@ def test_explanations_become_entries():
     assert closed_loop._next(s, ticks, out, [made], "posterior") is None
 
 
+def test_acting_is_certified_for_all_that_is_possible():
+    """A loss of 30 %: acting is better where no less than half of it is possible, and never where no loss is."""
+    _, _, B = planned(faults=[])
+    craft, n = reconfigured.Reconfigured(B), 4
+    allocate, demand = closed_loop._commands(craft), B @ np.full(4, 0.5)
+    old, new = (np.asarray(allocate(demand, believed(e))) for e in (np.ones(n), np.array([1.0, 0.7, 1.0, 1.0])))
+    np.testing.assert_allclose(old, 0.5, atol=1e-3)
+    assert new[1] > old[1]
+
+    def better(low, high, *others, commands=new):
+        lower, upper = (np.array([1.0, e, 1.0, 1.0]) for e in (low, high))
+        possible = certified.possible([1.0, 0.7, 1.0, 1.0], lower, upper, np.reshape(others, (-1, n)))
+        assert len(possible) == 3 + len(others)
+        return certified.is_better(craft.allocator, demand, old, commands, possible)
+
+    assert better(0.55, 0.8) and not better(0.55, 0.95)
+    assert not better(0.65, 0.75, np.ones(n))  # it may be none
+    assert not better(0.65, 0.75, [0.7, 1.0, 1.0, 1.0])  # or the opposite rotor
+    assert better(0.0, 0.8) and not better(0.0, 0.8, commands=old)  # of a dead rotor it makes no difference
+    one = certified.possible([1.0, 0.0], [1.0, 0.0], [1.0, 0.0], np.zeros((0, 2)))
+    np.testing.assert_array_equal(one, [[1.0, 0.0], [1.0, 0.0]])
+
+
+def test_a_certified_entry_waits_until_nothing_else_is_possible_and_goes_as_far_as_the_interval_lets_it():
+    s, numbers, B = planned(faults=[])
+    T = 300
+    ticks = SimpleNamespace(time=10.0 + 0.05 * np.arange(T), dt=0.05, thrust=np.ones((T, 4)), mode=np.full(T, 2.0))
+    out = program.TickOutput(*[None] * len(program.TickOutput._fields))._replace(
+        active=np.zeros((T, 4, 4), bool), each=np.zeros((T, 4, 4)), share=np.tile([0.9, 0.1, 0, 0], (T, 1)),
+        theta=np.zeros((T, 4)), theta_sd=np.full((T, 4), 0.01),
+    )  # fmt: skip
+    out.active[100:, 0, 0], out.each[100:, 0, 0], out.theta[100:, 0] = True, 0.3, 0.3
+    out.share[200:] = [1.0, 0, 0, 0]
+    craft = reconfigured.Reconfigured(B)
+
+    def entered(by, *entries):
+        certify = closed_loop._certifier(craft, numbers, out, list(entries)) if by == closed_loop.CERTIFIED else None
+        return closed_loop._next(s, ticks, out, list(entries), by, certify)
+
+    first, sure = entered("estimate"), entered(closed_loop.CERTIFIED)
+    assert first is not None and first.since == pytest.approx(15.0 + closed_loop.DELAY_S)
+    assert sure is not None and sure.since == pytest.approx(20.0 + closed_loop.DELAY_S)
+    np.testing.assert_array_equal(sure.mean, first.mean)
+    assert entered(closed_loop.CERTIFIED, sure) is None
+    out.each[100:, 0, 0], out.theta[100:, 0], out.theta_sd[:] = 0.2, 0.2, 0.06  # 8 to 32 %: 14 % are too much by 6 at most
+    part = entered(closed_loop.CERTIFIED)
+    assert part is not None and part.mean[0] == pytest.approx(0.86) and part.lower[0] == pytest.approx(0.68)
+    out.theta_sd[:] = 0.08  # from 4 % on: what may be acted on is too little
+    assert entered(closed_loop.CERTIFIED) is None and entered("estimate") is not None
+
+
 def test_the_feedback_is_the_hovers_own():
     s, _, _ = planned()
     entry = closed_loop._entry(s, 0.0, *[np.array([1.0, 0.4, 1.0, 1.0])] * 3)
@@ -221,7 +272,7 @@ def test_bad_requests_are_one_sentence(asked, tmp_path):
         closed_loop.run(asked[1], ["nonesuch"], tmp_path / "x", 2)
     with pytest.raises(ConfigError, match="at least one driver"):
         closed_loop.run(asked[1], [], tmp_path / "x", 2)
-    with pytest.raises(ConfigError, match="by must be one of estimate, bounds, posterior, not guess"):
+    with pytest.raises(ConfigError, match="by must be one of estimate, bounds, posterior, certified, not guess"):
         closed_loop.run(asked[1], ["default"], tmp_path / "x", 2, by="guess")
     with pytest.raises(ConfigError, match="ekf has one explanation at a time"):
         closed_loop.run(asked[1], ["truth", "ekf"], tmp_path / "x", 2, by="posterior")

@@ -160,7 +160,6 @@ def test_the_command_prints_and_writes(tmp_path):
     [
         ((FAULTY,), "Name a method; known are "),
         ((FAULTY, "--method", "nonsense"), "no estimator called 'nonsense'"),
-        ((FAULTY, "--method", "default"), "is the answer of `rotorwatch diagnose`"),
         ((FAULTY, "--method", "ekf", "--method", "ekf"), "ekf is named twice"),
         ((FAULTY, "--method", "ekf", "-o", "x.xlsx"), "give a name that ends in .csv"),
         ((FAULTY, "--method", "ekf", "--truth", "none.csv"), "Cannot read the truth none.csv"),

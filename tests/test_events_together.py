@@ -191,6 +191,24 @@ def test_what_ended_long_ago_and_is_forgotten_is_not_withdrawn():
     assert ENGINE.call(calls.changes, known, one, 0, 20.0, -1, False, withdrawn, out) == 0
 
 
+def test_on_board_an_event_is_withdrawn_once_it_has_been_missing_for_some_time():
+    """It comes back under its own number; another event in its place withdraws it at once."""
+    known, out, room = front_changes.Changes(), [front_changes.Change() for _ in range(4)], [listed.Event() for _ in range(2)]
+    one, other = listed.Event(), listed.Event()
+    one.onset, one.detected, one.rotors = 10.0, 10.5, 1
+    other.onset, other.detected, other.rotors = 14.0, 14.5, 2
+
+    def said(now, *events):
+        count = known.look(list(events), len(events), now, now - 60.0, -1, False, room, out)
+        return [(out[k].number, out[k].what) for k in range(count)]
+
+    assert said(11.0, one) == [(1, front_changes.ANNOUNCED)]
+    assert said(12.0) == [] and said(13.0, one) == [] and said(14.0) == []
+    assert said(14.0 + front_changes.HOLD_S) == [(1, front_changes.WITHDRAWN)] and room[0].rotors == 1
+    assert said(20.0, one) == [(2, front_changes.ANNOUNCED)] and said(21.0) == []
+    assert said(22.0, other) == [(2, front_changes.WITHDRAWN), (3, front_changes.ANNOUNCED)]
+
+
 @example([[(0, 2, 0.5), (0, 1, 0.453125)], [(0, 1, 0.4375), (0, 1, 0.421875)]])
 @settings(max_examples=trials(60), deadline=None)
 @given(st.lists(st.lists(st.tuples(st.integers(0, 3), st.integers(1, 6), st.floats(0.1, 0.9)), max_size=5), max_size=8))

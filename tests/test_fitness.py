@@ -14,7 +14,7 @@ from conftest import against_healthy, hexa_diagnosis, hexa_event
 from rotorwatch.answer import settings
 from rotorwatch.answer.conclusion import conclude
 from rotorwatch.answer.findings import Evidence
-from rotorwatch.flight.diagnosis import Diagnosis, Trend
+from rotorwatch.flight.diagnosis import SUREST, Diagnosis, Trend
 from rotorwatch.flight.kinds import Weight, table
 from rotorwatch.report import html, terminal
 from test_cli import run  # noqa: F401 - a fixture
@@ -112,7 +112,7 @@ def test_the_answer_of_a_log_has_the_settings_and_comes_back_from_json():
 
 def test_a_sure_loss_has_one_cause_with_its_evidence():
     (cause,) = hexa_diagnosis().causes
-    assert cause == {"name": "loss_of_effectiveness", "rotors": (3,), "probability": 0.998, "evidence": (hexa_event().reason,)}
+    assert cause == {"name": "loss_of_effectiveness", "rotors": (3,), "probability": SUREST, "evidence": (hexa_event().reason,)}
     (part,) = hexa_diagnosis(events=(hexa_event(extra={"cause": "propeller"}),)).causes
     assert part["name"] == "propeller"
 
@@ -121,7 +121,7 @@ def test_parts_share_the_probability_of_their_rotor():
     shares = {"bearing": 0.1, "propeller": 0.7, "unknown": 0.2}
     causes = hexa_diagnosis(events=(hexa_event(extra={"cause": "propeller", "causes": shares}),)).causes
     assert [c["name"] for c in causes] == ["propeller", "loss_of_effectiveness", "bearing"]
-    assert sum(c["probability"] for c in causes) == pytest.approx(0.998)
+    assert sum(c["probability"] for c in causes) == pytest.approx(SUREST)
 
 
 def test_candidates_of_unknown_probability_come_last():

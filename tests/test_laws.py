@@ -55,7 +55,7 @@ def wrench_quad():
     B = airframes.named("ardupilot-quad-x").effectiveness()
     names = [f"{axis}.{what}" for axis in plant.AXES for what in ("b1", "b2", "b3", "gain", "damping")]
     names[-1] = "side force"
-    return SimpleNamespace(B=B, n_x=THETA, n_theta=4, n_y=4, n_u=19, x_names=(*names, "thrust curve", "air", "lower rotors' share"))
+    return SimpleNamespace(B=B, n_x=THETA, n_theta=4, n_y=4, n_u=19, x_names=(*names, "air", "lower rotors' share"))
 
 
 def gaps():

@@ -7,7 +7,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.bindings import learning
-from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, any_air, any_curve, any_multirotor
+from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, any_air, any_multirotor
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, SHARE_SD
 from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
 
@@ -17,15 +17,12 @@ Y6 = airframes.named("ardupilot-y6").effectiveness()
 KNOWN = np.array([a * PER_AXIS + k for a in range(4) for k in (GAIN, DAMPING)])
 
 
-def flight(
-    gain=1.0, sd=0.1, noise=1.0, judged_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0, curve=0.0, curve_sd=1.0, air=(0.05, 0.05)
-):
+def flight(gain=1.0, sd=0.1, noise=1.0, judged_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0, air=(0.05, 0.05)):
     """What the estimator would end with: gains and dampings `gain` times 1, 2 .. 8, known to `sd`; biases, which are not to be learned."""
-    s, P = np.full(AXIS_STATES + 3, bias), np.eye(AXIS_STATES + 3)
+    s, P = np.full(AXIS_STATES + 2, bias), np.eye(AXIS_STATES + 2)
     s[KNOWN], P[KNOWN, KNOWN] = gain * np.arange(1.0, 9.0), sd**2
     s[-1], P[-1, -1] = share, share_sd**2
     s[-2], P[-2, -2] = air[0], air[1] ** 2
-    s[-3], P[-3, -3] = curve, curve_sd**2
     ticks = round(judged_s / dt)
     mode = np.concatenate([np.full(100, LEARN), np.full(ticks, JUDGE)])
     carry = SimpleNamespace(s=s, P=P, variances=np.broadcast_to(noise, (4, 4)))
@@ -103,15 +100,8 @@ def test_ticks_of_a_length_that_the_estimator_does_not_have_are_left_out(learn):
     assert learn([flight(dt=0.07)], QUAD) is None
 
 
-def test_the_thrust_curve_is_learned(learn):
-    """As the share is; a flight that showed nothing of it leaves it open."""
-    found = learn([flight(curve=-1.0, curve_sd=0.1), flight(curve=-1.4, curve_sd=0.3)], QUAD)
-    assert found["curve"] == pytest.approx([-1.2, (0.1**2 + 0.3**2) / 2 + 0.2**2])
-    assert learn([flight()], QUAD)["curve"] == pytest.approx(any_curve())
-
-
 def test_what_air_takes_is_learned(learn):
-    """As the curve is."""
+    """As the share is; a flight that showed nothing of it leaves it open."""
     found = learn([flight(air=(0.08, 0.01)), flight(air=(0.1, 0.02))], QUAD)
     assert found["air"] == pytest.approx([0.09, (0.01**2 + 0.02**2) / 2 + 0.01**2])
     assert learn([flight()], QUAD)["air"] == pytest.approx(any_air())

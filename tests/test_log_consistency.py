@@ -125,6 +125,10 @@ def test_sound_logs_keep_their_clock_and_their_order(frame, kind, loss):
     assert mixing.aligned(flight, vehicle, air) is flight
     assert mixing.outputs_in_another_order(found) is None and mixing.outputs_of_another_mixer(found) is None
     assert mixing.outputs_of_another_range(found) is None
+    assert found is not None
+    for lag in (0.0, 0.3):
+        own = np.diagonal(found.costs(lag, trim=False), axis1=1, axis2=2)
+        assert np.array_equal(found.own(lag), own.mean(axis=1), equal_nan=True)
 
 
 def test_slow_outputs_beside_a_fast_controller():

@@ -116,6 +116,40 @@ def test_each_hop_is_a_plant_of_its_own_and_gaps_stay_gaps():
     assert log_plant.hops(short, B, dynamics()) == ()
 
 
+def climbing(hover_s, T=600):
+    """A flight that climbs at 2.5 m/s through its learning time and until `hover_s`, with k = 0.04 of thrust lost per m/s."""
+    B, table = geometry(), ticks(geometry(), T=T)
+    axial = np.where(table.time < hover_s, 2.5, 0.0)
+    thrust = table.thrust + (0.04 * axial)[:, None]
+    return B, replace(table, thrust=thrust, wrench=thrust @ B.T, axial=axial)
+
+
+@pytest.mark.parametrize(("hover_s", "begins_s", "taught"), [(2.0, 5.0, 60), (7.0, 10.0, 60), (12.5, 14.0, 30), (99.0, 14.0, 80)])
+def test_the_trim_is_that_of_hover(hover_s, begins_s, taught):
+    """Learning lasts until 4 s; 3 s of hover teach the trim, at most 10 s later what there is of it; without it, the known air."""
+    B, table = climbing(hover_s)
+    known = {**dynamics(), "air": [0.04, 0.01]}
+    (hop,) = log_plant.hops(table, B, known)
+    assert hop.rows[0] == pytest.approx(begins_s / table.dt, abs=1) and len(hop.trimmed) == pytest.approx(taught, abs=1)
+    assert abs(hop.parameters["F_0"] + BIAS[3]) < 1e-9
+    thrusts = np.abs(hop.u.mean(axis=0) - (0.04 * table.axial[hop.rows]).mean() - table.load[hop.rows].mean())
+    assert thrusts.max() < 0.1  # the commands are those of the log
+    felt = np.array([np.asarray(hop.system.h(x, u, np.zeros(4)))[3] for x, u in zip(hop.y[:50, :3], hop.u[:50])])
+    np.testing.assert_allclose(felt, hop.y[:50, 3], atol=1e-6)  # in the climb, too, no loss is seen
+    cut = {k: v[: hop.rows[0] + 20] for k, v in vars(table).items() if isinstance(v, np.ndarray)}
+    (early,) = log_plant.hops(replace(table, **cut), B, known)
+    assert early.parameters["F_0"] == hop.parameters["F_0"] and early.rows[0] == hop.rows[0]
+
+
+def test_without_known_air_a_trim_of_hover_is_still_that_of_hover():
+    B, table = climbing(7.0)
+    (hop,) = log_plant.hops(table, B, dynamics())
+    assert abs(hop.parameters["F_0"] + BIAS[3]) < 1e-9
+    B, table = climbing(99.0)
+    (never,) = log_plant.hops(table, B, dynamics())
+    assert never.parameters["F_0"] == pytest.approx(-BIAS[3] - 4 * 0.1, abs=1e-6)
+
+
 def test_ticks_of_no_estimator_are_refused():
     B = geometry()
     with pytest.raises(ConfigError, match="no ticks of"):

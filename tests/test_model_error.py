@@ -67,7 +67,7 @@ def look(memory, now, valid=YES, flying=True, restart=False, variances=CALM, sha
     biases = X[:AXIS_STATES].reshape(4, PER_AXIS)[:3, :3].sum(axis=1)
     now = filled(copied(now), wrench=lost + np.array([*(share * needs + biases), 0.0]), valid=valid, restart=restart)
     memory, seen = copied(memory), Seen()
-    memory.weigh_inputs(P, now, X.tolist(), lost.tolist(), room(4), made(Noise, v=variances), flying, seen)
+    memory.weigh_inputs(P, now, X.tolist(), lost.tolist(), made(Noise, v=variances), flying, seen)
     return memory, seen
 
 
@@ -232,7 +232,7 @@ def error(now, y=(0.0,) * 4, before=(0.0,) * 4, far=0.0, white=0.01**2, p=P):
     memory = filled(begun(), wrench=np.asarray(before, float))
     seen, out = made(Seen, thrust=array(now.thrust, N), far=far), room(4)
     now = filled(copied(now), wrench=np.asarray(y, float), valid=YES)
-    memory.variance(p, now, seen, X.tolist(), made(Noise, v=np.full((4, 4), white)), out)
+    memory.variance(p, now, seen, X.tolist(), 1.0, made(Noise, v=np.full((4, 4), white)), out)
     assert memory.wrench == pytest.approx(y)
     return np.array(out)
 

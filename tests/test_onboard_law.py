@@ -30,7 +30,7 @@ ROUGH = {
     "px4-ulogassessment": "a loss of a vehicle that tumbles (46 to 78 %) is 5 points off in single precision",
     "hexa-opposite-2.bin.xz": "of opposite rotors that one of three pairs lost (4 to 65 %) the bounds are 4 points off in single precision",
 }
-WAITS = "outputs are missing for 8 s: a board keeps 6 s of ticks that wait until it is certain that the vehicle flies, a computer 8 s"
+WAITS = "outputs are missing for 8 s: a board keeps 5 s of ticks that wait until it is certain that the vehicle flies, a computer 8 s"
 LONG = {"gap_hides_loss_1.bin.xz": WAITS, "gap_hides_loss_2.bin.xz": WAITS}
 # At the rates of a board, beside what differs there.
 FED = {
@@ -171,6 +171,7 @@ def test_the_command_writes_it_with_the_prefix_that_was_asked_for(run, tmp_path)
     assert {p.name for p in written} >= {"mine_diagnoser.h", "mine_config.c", "mine_estimator.c", "mine_front.h"}
     assert not re.search(r"\b(rw|RW)_", text) and "mine_diagnoser_init" in text
     assert "#define MINE_TICK_S 0.05" in (tmp_path / "out" / "mine_config.h").read_text()
+    assert ".mixer_expo = (mine_real)0.0," in (tmp_path / "out" / "mine_config.c").read_text(), "PX4 mixes without a curve"
 
 
 def test_the_command_refuses_what_does_not_fit(run, tmp_path):

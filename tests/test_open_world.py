@@ -122,6 +122,21 @@ def test_what_an_answer_is_worth(faults, said, outcome):
     assert open_score.judged(flown(*faults), said)["outcome"] == outcome
 
 
+@pytest.mark.parametrize(
+    ("fault", "said", "named"),
+    [
+        (TILT, answer(event((), kind="turned_mount"), verdict="healthy"), True),
+        (TILT, answer(event((), kind="contact"), verdict="healthy"), False),
+        (TILT, answer(event((), kind="turned_mount"), event((1,)), weak=(1,)), False),  # and a healthy rotor is accused
+        ({"kind": "slow", "rotor": 3, "times": 4.0}, answer(event((3,), kind="slow_response")), True),
+        ({"kind": "slow", "rotor": 3, "times": 4.0}, answer(event((3,)), weak=(3,)), False),
+        (LOSS, answer(event((3,)), weak=(3,)), None),
+    ],
+)
+def test_a_fault_that_is_no_loss_is_named_by_its_kind(fault, said, named):
+    assert open_score.judged(flown(fault), said).get("named") is named
+
+
 def test_size_delay_and_a_fault_that_is_said_to_be_over():
     found = open_score.judged(flown(LOSS), answer(event((3,), loss=0.3), weak=(3,)))
     assert found["error"] == pytest.approx(-0.02) and found["holds"] is True and found["ended"] is False

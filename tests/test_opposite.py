@@ -11,7 +11,7 @@ from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Bank
 from rotorwatch.engine.estimator.evidence import Evidence
 from rotorwatch.engine.estimator.hypotheses import CLEAR, LOSS_WIDTH, NONE, PAIR, SMALL_WIDTH, kind_of
-from rotorwatch.engine.estimator.opposite import Opposite, contested
+from rotorwatch.engine.estimator.opposite import PARTS, Opposite, contested
 from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S
 from rotorwatch.engine.estimator.plausibility import torque_free
 
@@ -65,7 +65,8 @@ def suspect(
     most = 1.0 + max(sudden, gradual)
     found.top[list_hypotheses(n).kinds.index("disturbance")] = most
     found.loud[0][0], found.loud[1][0] = float(np.exp(sudden - most)), float(np.exp(gradual - most))
-    out.suspect(p, bank, found, missing, alarm, calm)
+    for part in range(PARTS):
+        out.suspect(p, bank, found, missing, alarm, calm, part)
     return out, out.lasted, list_hypotheses(n).rotors.index(pair)
 
 

@@ -74,6 +74,15 @@ def heard(ticks, events, claims=()):
     return kept, seen.open, seen.warnings
 
 
+def test_an_explanation_fits_the_same_in_any_company():
+    ticks = flight(loss=0.3, end=35.0)
+    where = span(ticks, QUAD, estimate(ticks, QUAD)[0], ONSET_S, 10.0, 43.0, np.zeros_like(ticks.thrust))
+    hows = [rival.how for rival in THEM]
+    for k, fit in list(enumerate(compare(where, hows)))[1::7]:
+        alone = compare(where, [hows[0], hows[k]])[1]
+        assert alone.log_p == fit.log_p and all(map(np.array_equal, alone[1:], fit[1:]))
+
+
 @pytest.mark.parametrize(("rotor", "loss"), [(0, 0.15), (2, 0.3), (3, 0.6)])
 def test_a_loss_is_confirmed_with_its_rotor(rotor, loss):
     (event,), open_, warnings = heard(flight(loss, rotor), [claim(rotor + 1)])

@@ -57,15 +57,25 @@ def test_code_is_of_the_files_of_its_definitions_and_of_what_translates_them():
     assert made_of | {"base/compiling/body.py"} <= set(ENGINE.files)
 
 
+@pytest.fixture
+def fast(tmp_path):
+    """A compiler that builds quickly; `count` beside it has a line for each build of the engine."""
+    fast, real = tmp_path / "fast", shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    fast.write_text(f'#!/bin/sh\ncase "$*" in *rw_engine.c*) echo built >> {tmp_path}/count;; esac\nexec {real} "$@" -O0\n')
+    fast.chmod(0o755)
+    return fast
+
+
 @needs_compiler
-def test_a_processor_gets_what_it_runs(tmp_path, monkeypatch):
+def test_a_processor_gets_what_it_runs(fast, tmp_path, monkeypatch):
     """Wheels that are given away hold code for each level of processors."""
     if platform.machine() != "x86_64":
         pytest.skip("one level only")
+    monkeypatch.setenv("CC", str(fast))
     monkeypatch.setattr(shipping, "DEFINITIONS", (ENGINE,))
-    shipping.ship(tmp_path, portable=True)
-    assert {path.name for path in tmp_path.glob("*.so")} == {"engine-x86-64-v3.so", "engine-x86-64.so"}
-    monkeypatch.setattr(shipped, "FOLDER", tmp_path)
+    shipping.ship(tmp_path / "built", portable=True)
+    assert {path.name for path in (tmp_path / "built").glob("*.so")} == {"engine-x86-64-v3.so", "engine-x86-64.so"}
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "built")
     for levels, expected in ((("x86-64-v3", "x86-64"), "engine-x86-64-v3.so"), (("x86-64",), "engine-x86-64.so"), (("",), None)):
         monkeypatch.setattr(shipped, "levels", lambda levels=levels: levels)
         found = ENGINE._shipped()
@@ -112,11 +122,8 @@ def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder):
 
 
 @needs_compiler
-def test_machine_code_is_made_once_where_none_came(tmp_path):
+def test_machine_code_is_made_once_where_none_came(fast, tmp_path):
     """By the first who needs it, in seconds."""
-    fast, real = tmp_path / "fast", shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    fast.write_text(f'#!/bin/sh\ncase "$*" in *rw_engine.c*) echo built >> {tmp_path}/count;; esac\nexec {real} "$@" -O0\n')
-    fast.chmod(0o755)
     env = {"CC": str(fast), "ROTORWATCH_CACHE": str(tmp_path / "cache")}
     for _ in range(2):
         assert without(tmp_path / "nowhere", "diagnose", str(SAMPLE), **env).returncode == 1

@@ -12,6 +12,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import rotorwatch as rw
+from browser_tab import launched
 from rotorwatch.base import discovery
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -95,10 +96,8 @@ def test_every_page_is_two_clicks_from_the_contents(built):
 
 def test_the_site_is_searched_without_a_network(built, chromium):
     """From a folder, as after a download: words are found, results open, and nothing is asked of anybody."""
-    api = pytest.importorskip("playwright.sync_api")
     asked = []
-    with api.sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+    with launched(chromium) as browser:
         page = browser.new_page()
         page.on("request", lambda request: asked.append(request.url))
         page.goto((built[0] / "docs" / "index.html").as_uri())
@@ -108,7 +107,6 @@ def test_the_site_is_searched_without_a_network(built, chromium):
         found.filter(has_text="A fleet over time").click()
         assert page.url.endswith("/docs/fleet.html")
         assert "exchange" in page.inner_text("article")
-        browser.close()
     assert not [url for url in asked if not url.startswith(("file:", "data:"))]
 
 

@@ -7,7 +7,7 @@ from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.events.changes import Known
 from rotorwatch.engine.events.decisions import GRAVE, MATTERS, WORN
 from rotorwatch.engine.events.events import CONTACT, LOSS, OUTPUT_OVERRIDE, TURNED_MOUNT
-from rotorwatch.engine.events.texts import EVERY_S, Texts
+from rotorwatch.engine.events.texts import EVERY_S, OVER_S, Texts
 from rotorwatch.engine.events.words import CRITICAL, INFO, NOTICE, WARNING, severity
 from rotorwatch.engine.intake.deviations import OVERRIDDEN, STUCK
 
@@ -82,14 +82,16 @@ def test_a_loss_that_leaves_what_was_told_is_told_again():
 
 def test_what_is_taken_back_or_over_is_told_when_it_had_been_told():
     assert Pilot().flies(10.0, loss()).flies(10.0).said == [WARNING, INFO]
-    assert Pilot().flies(10.0, loss()).flies(10.0, loss(end=9.0)).flies(10.0).said == [WARNING, INFO]
+    assert Pilot().flies(10.0, loss()).flies(OVER_S, loss(end=9.0)).flies(10.0).said == [WARNING, INFO]
+    assert Pilot().flies(10.0, loss()).flies(0.8 * OVER_S, loss(end=9.0)).said == [WARNING], "it may begin again"
+    assert Pilot().flies(10.0, loss()).flies(5.0, loss(end=9.0)).flies(OVER_S, loss(end=9.0), loss(2)).said == [WARNING, WARNING]
     assert Pilot().flies(10.0, loss(lost=0.01)).flies(10.0).said == []
     pilot = Pilot().flies(1.0, loss()).flies(2.0, loss(), loss(2, 0b100)).flies(20.0, loss())
     assert pilot.said == [WARNING], "it came and went between two texts"
 
 
 def test_what_was_said_to_be_over_and_is_not_is_told_again():
-    pilot = Pilot().flies(10.0, loss()).flies(10.0, loss(end=9.0)).flies(20.0, loss())
+    pilot = Pilot().flies(10.0, loss()).flies(OVER_S, loss(end=9.0)).flies(20.0, loss())
     assert pilot.said == [WARNING, INFO, WARNING]
 
 
@@ -114,7 +116,7 @@ def test_a_flood_of_events_is_a_trickle_of_texts(seed):
 
 
 def test_a_graver_loss_of_a_rotor_that_came_and_went_is_not_kept_waiting():
-    pilot = Pilot().flies(6.0, loss(1, lost=0.3)).flies(6.0, loss(1, lost=0.3, end=6.0))
+    pilot = Pilot().flies(6.0, loss(1, lost=0.3)).flies(OVER_S + 1.0, loss(1, lost=0.3, end=6.0))
     began = pilot.flies(6.0).now
     pilot.flies(6.0, loss(2, lost=0.9))
     assert pilot.said == [WARNING, INFO, CRITICAL] and pilot.heard[-1][0] < began + 0.2

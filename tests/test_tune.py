@@ -139,7 +139,7 @@ def test_what_cannot_be_tuned_is_refused():
 def hop(rows):
     """A hop of so many rows, with one number each to tell them by."""
     time = np.arange(rows)
-    return LogPlant({}, time[:, None] * 1.0, time[:, None] * 1.0, np.ones((rows, 1), bool), time, 0.1)
+    return LogPlant({}, time[:, None] * 1.0, time[:, None] * 1.0, np.ones((rows, 1), bool), time, 0.1, time)
 
 
 def test_something_is_kept_back_to_check_on():

@@ -1,12 +1,13 @@
 """How large a loss can be that was not announced: the bound holds it, also where the loss was taken for wind."""
 
+import functools
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import signal, stats
 
 import rotorwatch as rw
 from rotorwatch.answer import unseen
@@ -36,9 +37,9 @@ def losses(biases, table, effectiveness=B):
 def flown(seconds=60.0, rotor=1, loss=0.0, onset_s=30.0, noise=0.05, memory=0.9, seed=0):
     """(biases, table) of a hover in wind whose torques are an autoregression, with a loss that was taken for a disturbance."""
     rng, T = np.random.default_rng(seed), round(seconds / DT)
-    wind, white = np.zeros((T, 4)), rng.standard_normal((T, 4)) * noise * np.sqrt(1.0 - memory**2)
-    for k in range(1, T):
-        wind[k] = memory * wind[k - 1] + white[k]
+    white = rng.standard_normal((T, 4)) * noise * np.sqrt(1.0 - memory**2)
+    white[0] = 0.0
+    wind = signal.lfilter([1.0], [1.0, -memory], white, axis=0)
     time = DT * np.arange(T)
     there = np.where(time >= onset_s, loss, 0.0)
     table = SimpleNamespace(
@@ -107,8 +108,14 @@ def hidden(seed, frame, trajectory, wind, rotor, onset, loss, profile="fast"):
     }  # fmt: skip
 
 
+@functools.cache
+def made(*flight):
+    return simulate(scenario.from_table(hidden(*flight))).flight
+
+
+@functools.cache
 def simulated(*flight):
-    return rw.diagnose(simulate(scenario.from_table(hidden(*flight))).flight)
+    return rw.diagnose(made(*flight))
 
 
 # seed, frame, trajectory, wind m/s, rotor, onset s, loss: simulated flights in which wind hides the loss, so that no event names it
@@ -410,8 +417,8 @@ def test_a_live_vehicle_is_bounded_as_its_log_is():
 def test_a_landed_vehicle_is_answered_as_its_log_is():
     """A loss that wind hides from a watched vehicle is in the answer that is listed when it has landed."""
     flight = HIDDEN[0]
-    log, made = simulated(*flight), simulate(scenario.from_table(hidden(*flight))).flight
-    session, rows = replayed(made)
+    log = simulated(*flight)
+    session, rows = replayed(made(*flight))
     found = landed.answer("one", session, rows, session.spans[0])
     assert (found.verdict, found.events) == (log.verdict, ()) == ("ambiguous", ())
     assert [r.status for r in found.rotors] == [r.status for r in log.rotors]
@@ -421,9 +428,9 @@ def test_a_landed_vehicle_is_answered_as_its_log_is():
 def test_a_watched_vehicle_that_fell_is_answered_as_its_log_is():
     """A quad that lost half of a rotor in wind, and left control a second later: that rotor is why, or may be, live as in the log."""
     plan = campaign.read(Path(__file__).parents[1] / "plans" / "default.toml")
-    made = simulate(plan.flight(3848)).flight
-    session, rows = replayed(made)
-    found, log = landed.answer("one", session, rows, session.spans[0]), rw.diagnose(made)
+    fell = simulate(plan.flight(3848)).flight
+    session, rows = replayed(fell)
+    found, log = landed.answer("one", session, rows, session.spans[0]), rw.diagnose(fell)
     assert (found.verdict, found.headline) == (log.verdict, log.headline)
     assert "otor 1" in found.headline
     status = [r.status for r in found.rotors]

@@ -7,6 +7,7 @@ back as a Flight.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,7 @@ def _lost(time: np.ndarray, away: np.ndarray, gone: np.ndarray) -> float | None:
     return None
 
 
+@functools.cache
 def fly(frame: str, case: str, seed: int, log_hz: float = 10.0, duration: float = 26.0, later: float = 17.0) -> tuple[Flight, Truth]:
     """One flight of an ArduPilot frame ("quad-x") and what truly happened. log_hz: of the outputs; later: when what happens in
     cruise or hover begins [s]."""

@@ -21,7 +21,7 @@ from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
 from rotorwatch.toolkit import Given, aerobatic, baselines, prepare
-from rotorwatch_lab.published import helicopter_log, log_plant, paper_log, published
+from rotorwatch_lab.published import conformal, helicopter_log, log_plant, paper_log, published
 from rotorwatch_lab.published.published import Tuning
 
 SCHEMA = 1
@@ -108,6 +108,8 @@ class Estimates:
         methods = []
         for s in self.series:
             one, coverage, true = s.to_dict(), self.coverage(s), self.true(s)
+            if s.factor is not None:
+                one["factor"] = s.factor
             if coverage is not None:
                 one["coverage"] = dict(zip(s.theta_names, map(float, coverage)))
             if true is not None:
@@ -221,6 +223,7 @@ def estimate(
     airframe: str | None = None,
     lag_s: float = helicopter_log.LAG_S,
     truth: Truth | str | PathLike | None = None,
+    calibrated: bool = False,
     progress: Callable | None = None,
 ) -> Estimates:
     """What published methods themselves say of a log: losses, states and innovations over time, with their own intervals or sets.
@@ -231,6 +234,7 @@ def estimate(
     tuning: of a single method (`rotorwatch.tune`).
     airframe: of a helicopter's log: the name of one that a paper describes (ruav-40kg), or an airframe file; lag_s: of its actuators.
     truth: what is known of the flight, for pictures and coverage: see `Truth`, or a file as of `read_truth`.
+    calibrated: widen the intervals of losses on the plant "rates" by measured factors, so that they hold (docs/estimate.md).
     progress: called as progress(share, text). A method that cannot run on this flight stands in `failed`; if none can, its sentence is
     raised. Raises LogError, VehicleError or ConfigError.
     """
@@ -241,8 +245,8 @@ def estimate(
     for name in names:
         discovery.estimator(name)
     titles = [discovery.title(name) for name in names]
-    if "default" in titles:
-        raise ConfigError("The default method's own estimate is the answer of `rotorwatch diagnose`; name a published one.")
+    if calibrated and (airframe is not None or plant != "rates" or tuning is not None):
+        raise ConfigError("Calibrated intervals are for methods as they are, on multirotors and the plant rates: leave the others out.")
     if twice := next((t for k, t in enumerate(titles) if t in titles[:k]), None):
         raise ConfigError(f"The method {twice} is named twice; name each once.")
     if tuning is not None and len(names) > 1:
@@ -270,7 +274,8 @@ def estimate(
         at(0.0)
         for run in plants:
             try:
-                found.append(run(name, at))
+                series = run(name, at)
+                found.append(conformal.calibrated(series) if calibrated else series)
             except ConfigError as why:
                 if len(names) == len(plants) == 1:
                     raise
@@ -302,6 +307,8 @@ def _multirotor(flight: Flight, vehicle, baseline, plant: str, tuning: Tuning | 
         )
 
     def rates(name: Any, progress: Callable) -> MethodSeries:
+        if discovery.title(name) == "default":
+            return published.default(table, B, ready.dynamics, progress)
         return published.itself(name, table, B, hops, tuning, progress)
 
     def paper(name: Any, progress: Callable) -> MethodSeries:

@@ -6,6 +6,7 @@
 #include <AP_InertialSensor/AP_InertialSensor.h>
 #include <AP_Logger/AP_Logger.h>
 #include <AP_Motors/AP_Motors.h>
+#include <AP_Motors/AP_MotorsMatrix_Scripting_Dynamic.h>
 #include <AP_Vehicle/AP_Vehicle.h>
 #include <GCS_MAVLink/GCS.h>
 #include <SRV_Channel/SRV_Channel.h>
@@ -30,7 +31,7 @@ extern const AP_HAL::HAL &hal;
 const AP_Param::GroupInfo AP_RotorDiagnosis::var_info[] = {
     // @Param: ENABLE
     // @DisplayName: Watch the rotors
-    // @Description: Tells which rotor has lost effectiveness. It commands nothing. Memory is taken only where this is 1.
+    // @Description: Tells which rotor has lost effectiveness. Memory is taken only where this is 1.
     // @Values: 0:Disabled,1:Enabled
     // @RebootRequired: True
     // @User: Standard
@@ -42,6 +43,13 @@ const AP_Param::GroupInfo AP_RotorDiagnosis::var_info[] = {
     // @Values: 0:Nothing,2:Critical,4:Also warnings,5:Also notices,6:Everything
     // @User: Standard
     AP_GROUPINFO("TEXT", 2, AP_RotorDiagnosis, _text, 5),
+
+    // @Param: ACT
+    // @DisplayName: Change the mixer
+    // @Description: Loads motor factors for the rotors that are left. Needs FRAME_CLASS 17 (dynamic matrix).
+    // @Values: 0:Disabled,1:Enabled
+    // @User: Advanced
+    AP_GROUPINFO("ACT", 3, AP_RotorDiagnosis, _act, 0),
 
     AP_GROUPEND
 };
@@ -114,6 +122,9 @@ struct AP_RotorDiagnosis::Work {
     rw_texts texts {};
     rw_notification notifications[2 * RW_EVENTS] {};
     uint64_t logged_us = 0;
+    rw_real factors[4 * RW_ROTORS] {};
+    int32_t relied = 0;
+    bool acted = false; // the mixer is not that of the healthy vehicle
 
     HAL_Semaphore sem;
     float loss[RW_ROTORS] {};
@@ -247,6 +258,7 @@ bool AP_RotorDiagnosis::step()
     for (int i = 0; i < count; i++) {
         report(_work->notifications[i], s.time_us);
     }
+    act();
     char text[RW_TEXT];
     const int severity = rw_diagnoser_text(&_work->diagnoser, &_work->texts, rw_time(s.time_us) / 1000000, _text.get(), text);
     if (severity > 0) {
@@ -266,6 +278,35 @@ bool AP_RotorDiagnosis::step()
     return true;
 }
 
+// The factors for the rotors that are left, when they change: the wrench of the healthy mixer, so that gains stay as they are.
+void AP_RotorDiagnosis::act()
+{
+#if AP_SCRIPTING_ENABLED
+    const rw_reliance &reliance = *rw_diagnoser_reliance(&_work->diagnoser);
+    AP_MotorsMatrix_Scripting_Dynamic *const motors = AP_MotorsMatrix_Scripting_Dynamic::get_singleton();
+    if (_act.get() == 0 || motors == nullptr || reliance.revision == _work->relied) {
+        return;
+    }
+    _work->relied = reliance.revision;
+    bool weak = false;
+    for (uint8_t k = 0; k < RW_ROTORS; k++) {
+        weak = weak || reliance.effectiveness[k] < 1;
+    }
+    if ((!weak && !_work->acted) || rw_diagnoser_factors(&_work->diagnoser, _work->factors) == RW_UNABLE) {
+        return;
+    }
+    AP_MotorsMatrix_Scripting_Dynamic::factor_table table {};
+    for (uint8_t k = 0; k < RW_ROTORS && k < AP_MOTORS_MAX_NUM_MOTORS; k++) {
+        table.roll[k] = float(_work->factors[4 * k]);
+        table.pitch[k] = float(_work->factors[4 * k + 1]);
+        table.yaw[k] = float(_work->factors[4 * k + 2]);
+        table.throttle[k] = float(_work->factors[4 * k + 3]);
+    }
+    _work->acted = weak;
+    motors->load_factors(table);
+#endif
+}
+
 // In the order of times and, of one time, of kinds, as everywhere.
 void AP_RotorDiagnosis::feed(const Sample &s)
 {
@@ -283,7 +324,7 @@ void AP_RotorDiagnosis::feed(const Sample &s)
         }
         rw_diagnoser_outputs(d, t, output, s.known);
         const rw_real control[4] = {s.control[0], s.control[1], s.control[2], s.control[3]};
-        rw_diagnoser_control(d, t, control, true);
+        rw_diagnoser_control(d, t, control, !_work->acted);
     }
     if (!before) {
         feed_motion(s);

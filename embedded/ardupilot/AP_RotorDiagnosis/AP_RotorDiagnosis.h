@@ -5,7 +5,8 @@
  *   rotorwatch export-c --diagnoser --vehicle mine.toml --rate-hz 50 --sensor-hz 100 -o AP_RotorDiagnosis
  *
  * The main loop calls update() each time: that adds up gyro and accelerometer, and puts a sample into a queue RW_MOTION_HZ times a second,
- * nothing else. A thread of lowest priority diagnoses. Without RWD_ENABLE there is neither, and no memory is taken. It only reports: nothing here commands the vehicle.
+ * nothing else. A thread of lowest priority diagnoses. Without RWD_ENABLE there is neither, and no memory is taken. It only reports, unless RWD_ACT is 1: a
+ * vehicle with a dynamic matrix (FRAME_CLASS 17) then gets the factors for the rotors that are left.
  *
  * Log records:
  *   RWEV  an event that is new (What 0), changed (1) or withdrawn (2). Kind: 0 loss of effectiveness, 1 output overridden, 2 contact, 9 mount.
@@ -52,11 +53,13 @@ private:
     bool step();
     void feed(const Sample &sample);
     void feed_motion(const Sample &sample);
+    void act();
     void report(const rw_notification &notification, uint64_t now_us);
     void log_losses(uint64_t now_us);
 
     AP_Int8 _enable;
     AP_Int8 _text;
+    AP_Int8 _act;
 
     const AP_MotorsMulticopter *_motors = nullptr;
     Work *_work = nullptr;

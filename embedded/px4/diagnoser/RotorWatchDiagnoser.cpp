@@ -280,7 +280,8 @@ void RotorWatchDiagnoser::feed(const Sample &sample)
 		}
 
 	case Kind::CONTROL:
-		rw_diagnoser_control(&_diagnoser, time, x, true);
+		// Once allocation relies on it, outputs follow another mixer than that of the healthy vehicle.
+		rw_diagnoser_control(&_diagnoser, time, x, !_acted);
 		break;
 
 	case Kind::POSITION:
@@ -365,7 +366,41 @@ void RotorWatchDiagnoser::publish(const rw_event *event, uint8_t news, uint16_t 
 		verdict.rotor_loss[k] = static_cast<float>(rw_diagnoser_loss(&_diagnoser, k));
 	}
 
+	rely(verdict);
 	_verdict.publish(verdict);
+}
+
+void RotorWatchDiagnoser::rely(rotorwatch_verdict_s &verdict)
+{
+	const rw_reliance &reliance = *rw_diagnoser_reliance(&_diagnoser);
+	verdict.control = rotorwatch_verdict_s::CONTROL_TURNS;
+
+	for (int k = 0; k < 12; k++) {
+		verdict.effectiveness[k] = 1.f;
+	}
+
+	if (!_param_rotw_act.get()) {
+		return;
+	}
+
+	if (reliance.revision != _relied) {
+		_relied = reliance.revision;
+		_control = static_cast<uint8_t>(rw_diagnoser_factors(&_diagnoser, _factors));
+		_acted = false;
+
+		for (int k = 0; k < RW_ROTORS; k++) {
+			_acted = _acted || reliance.effectiveness[k] < 1;
+		}
+	}
+
+	verdict.control = _control;
+	verdict.revision = static_cast<uint32_t>(reliance.revision);
+	verdict.left_out = reliance.left_out;
+	verdict.left_out_odds = static_cast<float>(reliance.odds);
+
+	for (int k = 0; k < SHOWN; k++) {
+		verdict.effectiveness[k] = static_cast<float>(reliance.effectiveness[k]);
+	}
 }
 
 int RotorWatchDiagnoser::print_status()

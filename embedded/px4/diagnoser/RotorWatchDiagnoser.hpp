@@ -3,8 +3,8 @@
  * Where it goes, what to add and what the pilot sees: docs/px4.md. For PX4 1.15 to 1.17.
  *
  * A work item of the queue wq:hp_default adds up gyro and accelerometer, and puts samples into a line RW_MOTION_HZ times a second; another
- * one, in a queue of its own and of low priority, diagnoses. Memory is taken by `rotorwatch start` alone, and only where ROTW_EN is 1. It only reports: nothing
- * here commands the vehicle.
+ * one, in a queue of its own and of low priority, diagnoses. Memory is taken by `rotorwatch start` alone, and only where ROTW_EN is 1. It only reports: control
+ * allocation may follow it (RotorWatchAllocation.hpp, ROTW_ACT).
  */
 #pragma once
 
@@ -111,6 +111,7 @@ private:
 	void feed(const Sample &sample);
 	void report(hrt_abstime time);
 	void publish(const rw_event *event, uint8_t news, uint16_t number);
+	void rely(rotorwatch_verdict_s &verdict);
 
 	uORB::Subscription _rates{ORB_ID(vehicle_angular_velocity)};
 	uORB::Subscription _acceleration{ORB_ID(vehicle_acceleration)};
@@ -144,10 +145,15 @@ private:
 	rw_diagnoser _diagnoser{};
 	rw_texts _texts{};
 	rw_notification _notifications[2 * RW_EVENTS] {};
+	rw_real _factors[4 * RW_ROTORS] {}; // not used: PX4 inverts by itself
+	int32_t _relied{0};
+	uint8_t _control{RW_TURNS};
+	bool _acted{false}; // allocation relies on less than a healthy vehicle
 	hrt_abstime _published{0};
 	hrt_abstime _fed{0}; // time of the newest sample that was fed
 
 	DEFINE_PARAMETERS(
-		(ParamInt<px4::params::ROTW_TEXT>) _param_rotw_text
+		(ParamInt<px4::params::ROTW_TEXT>) _param_rotw_text,
+		(ParamBool<px4::params::ROTW_ACT>) _param_rotw_act
 	)
 };

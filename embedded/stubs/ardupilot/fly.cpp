@@ -1,4 +1,4 @@
-/* Flies recorded samples through AP_RotorDiagnosis as ArduCopter would: fly SAMPLES [ENABLE [TEXT]]. A sample is 24 doubles: kind, time,
+/* Flies recorded samples through AP_RotorDiagnosis as ArduCopter would: fly SAMPLES [ENABLE [TEXT [ACT]]]. A sample is 24 doubles: kind, time,
    validity and numbers, as in tests/onboard_law.py. Texts and log records come out as lines. MIT. */
 #include <AP_RotorDiagnosis.h>
 #include <cstdlib>
@@ -56,6 +56,9 @@ int main(int count, char **words)
     set(d, "ENABLE", int8_t(count > 2 ? atoi(words[2]) : 1));
     if (count > 3) {
         set(d, "TEXT", int8_t(atoi(words[3])));
+    }
+    if (count > 4) {
+        set(d, "ACT", int8_t(atoi(words[4])));
     }
     d.init(World::motors);
     fprintf(World::out, "size\t%u\t%d\n", unsigned(sizeof d), World::threads() ? 1 : 0);

@@ -13,7 +13,7 @@
 uint64_t World::now_us;
 uint16_t World::pwm[32];
 uint32_t World::pwm_known;
-AP_MotorsMulticopter World::motors;
+AP_MotorsMatrix_Scripting_Dynamic World::motors;
 FILE *World::out = stdout;
 
 /* The turn is either the test's or the thread's. */
@@ -130,6 +130,16 @@ bool AP_AHRS::get_velocity_NED(Vector3f &vec) const
 {
     vec = state.velocity_NED;
     return state.velocity_NED_ok;
+}
+AP_MotorsMatrix_Scripting_Dynamic *AP_MotorsMatrix_Scripting_Dynamic::get_singleton() { return &World::motors; }
+void AP_MotorsMatrix_Scripting_Dynamic::load_factors(const factor_table &table)
+{
+    fprintf(World::out, "factors\t%.6f", double(World::now_us) / 1000000);
+    for (int k = 0; k < AP_MOTORS_MAX_NUM_MOTORS; k++) {
+        fprintf(World::out, "\t%.6f\t%.6f\t%.6f\t%.6f", double(table.roll[k]), double(table.pitch[k]), double(table.yaw[k]),
+                double(table.throttle[k]));
+    }
+    fprintf(World::out, "\n");
 }
 bool SRV_Channels::get_output_pwm(SRV_Channel::Function function, uint16_t &value)
 {

@@ -3,6 +3,7 @@
 #include <AP_AHRS/AP_AHRS.h>
 #include <AP_InertialSensor/AP_InertialSensor.h>
 #include <AP_Motors/AP_Motors.h>
+#include <AP_Motors/AP_MotorsMatrix_Scripting_Dynamic.h>
 #include <AP_Vehicle/AP_Vehicle.h>
 #include <cstdio>
 
@@ -10,7 +11,7 @@ struct World {
     static uint64_t now_us;
     static uint16_t pwm[32];
     static uint32_t pwm_known;
-    static AP_MotorsMulticopter motors;
+    static AP_MotorsMatrix_Scripting_Dynamic motors;
 
     static void gyro(const double *x, bool ok);
     static void accel(const double *x, bool ok);

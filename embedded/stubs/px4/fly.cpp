@@ -1,4 +1,4 @@
-/* Flies recorded samples through the module as PX4 would: fly SAMPLES [ENABLE [TEXT]]. A sample is 24 doubles: kind, time, validity and
+/* Flies recorded samples through the module as PX4 would: fly SAMPLES [ENABLE [TEXT [ACT]]]. A sample is 24 doubles: kind, time, validity and
    numbers, as in tests/onboard_law.py. Texts and events come out as lines. MIT. */
 #include <cstdlib>
 #include <cstring>
@@ -14,6 +14,7 @@
 #include <uORB/topics/vehicle_thrust_setpoint.h>
 #include <uORB/topics/vehicle_torque_setpoint.h>
 
+#include "RotorWatchAllocation.hpp"
 #include "rw_config.h"
 #include "world.hpp"
 
@@ -32,6 +33,13 @@ STUB_TOPIC(vehicle_torque_setpoint)
 
 extern "C" int rotorwatch_main(int argc, char *argv[]);
 
+/* An effectiveness matrix as the control allocator has it, all ones. */
+struct Stub {
+	float at[6][16];
+	Stub() { for (auto &row : at) for (float &x : row) { x = 1.f; } }
+	float &operator()(int axis, int motor) { return at[axis][motor]; }
+};
+
 static const int WIDTH = 24;
 static int verdict = 0;
 
@@ -44,6 +52,20 @@ void told(orb_id_t topic, const void *data)
 
 	const rotorwatch_verdict_s &v = *static_cast<const rotorwatch_verdict_s *>(data);
 	verdict = v.verdict;
+	static uint32_t revision = 0;
+
+	if (v.revision != revision) {
+		revision = v.revision;
+		fprintf(World::out, "factors\t%.6f", static_cast<double>(v.timestamp) / 1e6);
+		Stub matrix;
+		rotorwatch_rely(v, matrix, RW_ROTORS);
+
+		for (int k = 0; k < 12; k++) {
+			for (int axis = 0; axis < 4; axis++) { fprintf(World::out, "\t%.6f", static_cast<double>(matrix(axis < 3 ? axis : 5, k))); }
+		}
+
+		fprintf(World::out, "\n");
+	}
 
 	if (v.news != rotorwatch_verdict_s::NEWS_NONE) {
 		fprintf(World::out, "log\tRWEV\tTimeUS,Num,What,Kind,Rot,Alt,On,End,P,Lo,Hi,L1,L2,L3,L4\t%llu\t%d\t%d\t%d\t%d\t%d\t%.6f\t%.6f\t%g\t%g\t%g",
@@ -162,8 +184,9 @@ int main(int count, char **words)
 
 	if (file == nullptr) { return 2; }
 
-	World::parameters[0] = count > 2 ? atoi(words[2]) : 1;
-	World::parameters[1] = count > 3 ? atoi(words[3]) : 5;
+	World::parameters[1] = count > 2 ? atoi(words[2]) : 1;
+	World::parameters[2] = count > 3 ? atoi(words[3]) : 5;
+	World::parameters[0] = count > 4 ? atoi(words[4]) : 0;
 	const int started = call("start");
 	fprintf(World::out, "size\t%d\t%u\n", started, World::items());
 	double row[WIDTH];

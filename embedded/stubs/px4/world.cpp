@@ -15,7 +15,7 @@
 #include <vector>
 
 hrt_abstime World::now;
-int32_t World::parameters[2] = {1, 5};
+int32_t World::parameters[3] = {0, 1, 5};
 FILE *World::out = stdout;
 
 namespace
@@ -34,10 +34,10 @@ std::vector<px4::WorkItem *> waiting;
 } // namespace
 
 hrt_abstime hrt_absolute_time() { return World::now; }
-param_t param_find(const char *name) { return strcmp(name, "ROTW_EN") == 0 ? 0 : 1; }
+param_t param_find(const char *name) { return strcmp(name, "ROTW_ACT") == 0 ? 0 : strcmp(name, "ROTW_EN") == 0 ? 1 : 2; }
 int param_get(param_t param, void *val)
 {
-	if (param > 1) { return -1; }
+	if (param > 2) { return -1; }
 
 	memcpy(val, &World::parameters[param], sizeof(int32_t));
 	return 0;

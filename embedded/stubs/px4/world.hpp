@@ -7,7 +7,7 @@
 
 struct World {
 	static hrt_abstime now;
-	static int32_t parameters[2]; // in the order of px4::params
+	static int32_t parameters[3]; // in the order of px4::params
 	static FILE *out;
 
 	// Publishes a topic's data, as large as its metadata say.

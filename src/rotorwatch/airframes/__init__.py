@@ -1,7 +1,8 @@
 """The airframe of a flight: one module per autopilot, each making a `Vehicle` from a log.
 
 A module here offers ``identify(flight) -> Vehicle | None`` (None: another autopilot, or too little in the log) and may offer ``NAMES``,
-name -> function without arguments that builds the `Vehicle` with default settings. Adding an autopilot is adding a file, or an entry point
+name -> function without arguments that builds the `Vehicle` with default settings, and ``complete(vehicle, flight) -> Vehicle``, a vehicle
+from a file with what only the log says. Adding an autopilot is adding a file, or an entry point
 `rotorwatch.airframes` of another package: a module or an object with the same parts (docs/plug-ins.md), which is tried when no module here
 recognises the flight.
 """
@@ -49,6 +50,17 @@ def identify(flight: Flight) -> Vehicle:
         f"{flight.name or 'The log'} does not say which airframe flew ({_missing(flight)}); "
         "describe it in a vehicle file and give that with --vehicle FILE."
     )
+
+
+def of(flight: Flight, vehicle: Vehicle | None = None) -> Vehicle:
+    """The airframe of a flight: `vehicle` where one is given, with what it does not say and the log does. Raises VehicleError as `identify`
+    does."""
+    if vehicle is None:
+        return identify(flight)
+    check(vehicle, flight)
+    for module in modules():
+        vehicle = module.complete(vehicle, flight) if hasattr(module, "complete") else vehicle
+    return vehicle
 
 
 def check(vehicle: Vehicle, flight: Flight) -> None:

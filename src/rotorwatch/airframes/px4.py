@@ -68,6 +68,13 @@ def identify(flight: Flight) -> Vehicle | None:
     )
 
 
+def complete(vehicle: Vehicle, flight: Flight) -> Vehicle:
+    """The vehicle of a PX4 log with the curve of its mixer, which is a parameter of its own, where its file does not say it."""
+    if "mixer_expo" in vehicle.extra or not flight.autopilot.lower().startswith("px4"):
+        return vehicle
+    return replace(vehicle, extra={**vehicle.extra, "mixer_expo": mixer_expo(flight)})
+
+
 def place(frame: str) -> tuple[Rotor, ...]:
     """Rotors of one of `FRAMES`, on a circle of radius 1."""
     angles, spins = FRAMES[frame]
@@ -165,7 +172,8 @@ def _frame(flight: Flight, notes: list[str]) -> tuple[str | None, str]:
 
 def _named(frame: str) -> Vehicle:
     rotors = place(frame)
-    return Vehicle(f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name")
+    extra = {"mixer_expo": 0.0, "rests_at_minimum": True}  # THR_MDL_FAC is 0 by default
+    return Vehicle(f"px4-{frame}", rotors, ThrustCurve(0.0, 1.0, USUAL_EXPO, False), mix(rotors), source="airframe name", extra=extra)
 
 
 NAMES = {f"px4-{frame}": functools.partial(_named, frame) for frame in FRAMES}

@@ -17,6 +17,7 @@ from rotorwatch.answer.findings import Evidence, together
 from rotorwatch.answer.fitness import GRAVE
 from rotorwatch.answer.ledger import main_event
 from rotorwatch.answer.wording import SCALE, candidates, grows, headline, interval, listed, percent, rotors, said, seconds, sentence, up_to
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.events.decisions import MENTIONED, TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, Fitness, RotorState, StoryLine, Trend
 from rotorwatch.flight.kinds import CONTACT, LOST, REPORTED
@@ -68,7 +69,7 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
         )
         said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
-    seen = seen._replace(events=tuple(seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
+    seen = seen._replace(events=tuple(e.stated() for e in seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
@@ -356,7 +357,7 @@ def _period(seen: Evidence, event: Event) -> str:
         return ""
     onsets = [e.onset_s for e in same]
     steps = np.diff(onsets)
-    period = float(np.median(steps))
+    period = float(median(steps))
     regular = np.abs(steps - period).max() < REGULAR * period
     return f", one every {period:.1f} s" if regular else f" in {onsets[-1] - onsets[0]:.0f} s"
 

@@ -28,9 +28,8 @@ def compose(
     judging = table.mode == JUDGE
     sd = event_rows.sd_of(out.theta, out.theta_sd, B)
     spread = np.where(out.theta > 0, WITHIN_95 * sd, WITHIN_95 * np.where(judging[:, None], out.detectable, 0.0))
-    evidence = {name: out.log_odds[:, i] / LN10 for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
-    pairs = [i for i, kind in enumerate(hyp.kinds) if kind == "pair"]
-    evidence["best pair"] = out.log_odds[:, pairs].max(axis=1) / LN10
+    odds = {name: out.log_odds[:, i] for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
+    odds["best pair"] = out.log_odds.max(axis=1, where=np.array(hyp.kinds) == "pair", initial=-np.inf)
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
     first = np.logical_or.reduce([(table.time >= a) & (table.time < a + ready_s) for a, _ in air] or [table.mode < 0])
     for start, end in _spans(table.time, (table.mode == LEARN) & ~first):
@@ -51,7 +50,7 @@ def compose(
         time, out.theta, lower, upper,
         _bridged(time, np.where(measured, out.innovation, np.nan)), np.sqrt(out.innovation_var),
         _bridged(time, np.where(seen[:, None], table.thrust * table.hover[:, None], np.nan)),
-        {k: np.clip(v, LEAST_ODDS, None) for k, v in evidence.items()}, tuple(blind), tuple(air), limit / LN10,
+        {k: np.maximum(v / LN10, LEAST_ODDS) for k, v in odds.items()}, tuple(blind), tuple(air), limit / LN10,
         actual, wanted, _messages(flight, float(time[-1])), *(_held(signal, time) for signal in rates(flight)),
         **context.gather(flight, time, air),
     )  # fmt: skip

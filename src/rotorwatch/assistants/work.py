@@ -153,7 +153,7 @@ def _judged(question: Question) -> Diagnosis:
             vehicle = _vehicle(question.vehicle)
         with _blaming("This log"):
             flight = _read(question.log, "log")
-            airframes.check(vehicle or airframes.identify(flight), flight)
+            airframes.of(flight, vehicle)
         with _blaming("The baseline" if healthy else "This log"):
             return diagnose(flight, vehicle=vehicle, baseline=healthy)
 

@@ -42,3 +42,8 @@ def quantile(values: Any, share: float) -> float:
 def distinct(ordered: np.ndarray) -> np.ndarray:
     """The distinct values of sorted values (n,)."""
     return ordered[np.concatenate([[True], ordered[1:] != ordered[:-1]])] if ordered.size else ordered
+
+
+def unique(values: np.ndarray) -> np.ndarray:
+    """`np.unique` of values without NaN."""
+    return distinct(np.sort(values, axis=None))

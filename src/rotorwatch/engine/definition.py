@@ -34,13 +34,14 @@ from rotorwatch.engine.estimator import batch as estimator_whole
 from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
 from rotorwatch.engine.estimator import known as estimator_known
 from rotorwatch.engine.estimator import prior as estimator_prior
-from rotorwatch.engine.events import calls, carried, changes, decisions, events, losses, records, texts, words
+from rotorwatch.engine.events import calls, carried, changes, decisions, events, losses, records, reliance, texts, words
 from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer, planning, sense, sizes, ticks
 from rotorwatch.engine.intake import craft as vehicle
 from rotorwatch.flight import Flight, Message
 
 FRONT = (
     medians, decisions, vehicle, airborne, mixer, deviations, contact, sense, ticks, front, events, records, losses, changes, words, texts,
+    reliance,
 )  # fmt: skip
 ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base import memory
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine import engine, feed
@@ -22,6 +23,8 @@ from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.engine.motion.overrides import Override
 from rotorwatch.engine.motion.tick_table import ROOM, Plan, Ticks, columns, joined, known_hover, laid_out
 from rotorwatch.flight.vehicle import Vehicle
+
+MANY = 8  # pieces whose memory is worth giving back before the next columns are joined
 
 
 class Judged(NamedTuple):
@@ -42,7 +45,9 @@ class Judged(NamedTuple):
         tables, columns = [one.table for one in parts], [list(x) for x in zip(*(one.out for one in parts), strict=True)]
         parts.clear()
         table = joined(tables)
-        tables.clear()
+        if len(tables) > MANY:
+            tables.clear()
+            memory.give_back()
         return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
 
 

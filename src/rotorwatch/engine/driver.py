@@ -102,7 +102,7 @@ class Driver:
         self._mixing = allocation.faster_control(flight)
         craft = allocation.laid_out(self.vehicle, flight)
         self.diagnoser, self.dynamics = Diagnoser(self.vehicle, craft, how, self._mixing, dynamics), dynamics
-        self._marks = [self._mark(self.diagnoser)]
+        self._marks = [] if spans else [self._mark(self.diagnoser)]  # the end of a log's flights is known
         return self.diagnoser
 
     def advance(self) -> Piece | None:

@@ -20,11 +20,12 @@ from rotorwatch.engine.events.changes import Change, Changes
 from rotorwatch.engine.events.events import Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
 from rotorwatch.engine.events.records import Found, Records
+from rotorwatch.engine.events.reliance import Reliance
 from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.deviations import Override
 from rotorwatch.engine.intake.front import Front
 from rotorwatch.engine.intake.sense import Plan
-from rotorwatch.engine.intake.sizes import EVENTS, OVERRIDES, PLACES, RECORDS
+from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
 
 PACE = 3.0  # ticks processed in pieces during the length of one
@@ -32,10 +33,10 @@ FINAL_S = 60.0  # an event that ended longer ago is not withdrawn
 
 
 class Room(Struct):
-    """Scratch memory for listing events; nothing in it is kept."""
+    """Scratch memory for listing events; nothing in it is kept but, until the next poll, the withdrawn events in place of the losses."""
 
     records = embedded(Records)
-    losses = array(Event, RECORDS)
+    losses = array(Event, LISTED)
     overrides = array(Override, OVERRIDES)
 
 
@@ -49,10 +50,10 @@ class Engine(Struct):
     report = embedded(Report)
     trim = embedded(Trim)
     changes = embedded(Changes)
+    reliance = embedded(Reliance)  # as of the last poll
     made = embedded(Made)  # the last tick, as measured
     out = embedded(Result)  # the estimator's output for it
     events = array(Event, EVENTS)  # events at the last poll
-    withdrawn = array(Event, EVENTS)  # events at the poll before
     fresh = array(Change, 2 * EVENTS)
     room = embedded(Room)
     # End of the current or last flight, as only later samples show; LASTS: none known.
@@ -150,11 +151,16 @@ class Engine(Struct):
         for i in range(lost):
             room.losses[i].source = i
         lost = self.trim.growth.join(room.losses, lost, RECORDS)
-        overridden = self.front.deviations.found(v, room.overrides)
+        overridden = 0
+        if self.front.doubting:  # it may have landed, and outputs leave the mixer on the ground
+            overridden = self.front.sure[0].found(v, room.overrides)
+        else:
+            overridden = self.front.deviations.found(v, room.overrides)
         count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
+        self.reliance.look(v, self.events, self.count, self.front.start, self.front.newest)
         final = self.front.newest - FINAL_S
-        return self.changes.look(self.events, self.count, final, -1, False, self.withdrawn, self.fresh)
+        return self.changes.look(self.events, self.count, self.front.newest, final, -1, False, room.losses, self.fresh)
 
     def main(self) -> int:
         """Index of the most severe event of the last poll; -1 without one."""

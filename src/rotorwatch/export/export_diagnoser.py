@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ SOURCES = Path(__file__).parent / "embedded_c"
 MADE = "Made of the definitions in rotorwatch/engine; not to be edited."
 ROOMS = ("RECORDS", "CONTACTS", "FALLS", "EVENTS", "SAMPLES")  # buffer sizes that the compiler's -D may override
 TRIM = {name: size for name, size in vars(trim_sizes).items() if name.isupper()}
-QUEUE_S = 6.0  # queue of ticks: airborne.CONFIRM_S, and a margin
+QUEUE_S = 5.25  # queue of ticks: airborne.CONFIRM_S, what the ticks wait for motion, and a margin
 
 
 def plant_table(vehicle: Vehicle, dt: float) -> dict[str, Any]:
@@ -68,7 +69,8 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "DIRECTIONS": directions, "CROSSES": directions * (directions + 1) // 2, "SLOTS": engine_sizes.SLOTS,
         "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
-        "CONTACTS": 4, "FALLS": 4, "EVENTS": 12,
+        "CONTACTS": 4, "FALLS": 4, "EVENTS": 12, "TOLD_EVENTS": "(RW_EVENTS + 4)",
+        "LISTED": "(RW_RECORDS > RW_EVENTS ? RW_RECORDS : RW_EVENTS)",
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
         "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "SAMPLES": 64,
     }  # fmt: skip
@@ -194,7 +196,9 @@ def export_diagnoser(
     plan = usual_plan(rate_hz, control_hz, gyro_hz, accel_hz, bool(known.get("dynamics")))
     if plan.dt > tick_table.SHORTEST_S / 2.0:
         raise ConfigError(f"Outputs at {rate_hz:g} Hz are too slow for on board: feed them at 8 Hz or more.")
-    unit = (1000.0, 2000.0) if craft.curve.u_max > 2.0 else (0.0, 1.0)
+    unit = (1000.0, 2000.0)
+    if craft.curve.u_max <= 2.0:  # PX4's demands, to which its mixer applies no curve
+        unit, craft = (0.0, 1.0), replace(craft, extra={"mixer_expo": 0.0, **craft.extra})
     tables = vehicle_table(craft, unit), tick_table.table(plan, known.get("hover"), control_hz >= 1.5 * rate_hz)
     texts = files(craft, plan, (rate_hz, gyro_hz, accel_hz), tables)
     sources = [name for name in texts if name.endswith(".c")]

@@ -29,8 +29,7 @@ def of_flight(
     found: Diagnosis | None = None,
 ) -> Entry:  # fmt: skip
     """The entry of a flight that was read. found: its diagnosis, where already made."""
-    craft = vehicle or airframes.identify(flight)
-    airframes.check(craft, flight)
+    craft = airframes.of(flight, vehicle)
     if found is None:
         from rotorwatch.diagnose import diagnose
 

@@ -22,7 +22,8 @@ class MethodSeries:
     n): their covariance, or the set's shape. x, x_var (T, n_x); innovation, innovation_var (T, n_y): measured less predicted, 0 without a
     measurement. status (T,): 0 fine, 1 not ready, 2 nothing measured. Names and units are the plant's. dt: s of a step. notes: the basis of
     the figures, a sentence each. made_of: name -> (values, off) (T,) of quantities derived from theta, such as the deviation of a
-    helicopter's actuator."""
+    helicopter's actuator. factor: by which intervals of theta are wider than the method's own, calibrated so that they hold; None: its
+    own."""
 
     method: str
     plant: str
@@ -44,6 +45,7 @@ class MethodSeries:
     dt: float
     notes: tuple[str, ...] = ()
     made_of: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    factor: float | None = None
 
     @property
     def title(self) -> str:
@@ -53,6 +55,9 @@ class MethodSeries:
     @property
     def whose(self) -> str:
         """The origin of its intervals, a sentence."""
+        if self.factor is not None:
+            own = "half-width of its own set" if self.says == SET else "interval of its own covariance"
+            return f"The 95 % interval is {self.factor:.3g} times the {own}, calibrated on simulated flights with losses (split conformal)."
         if self.says == SET:
             return f"The bound is the half-width of {self.method}'s own set: it holds while noise keeps the bounds that the set assumes."
         return f"The 95 % interval is 1.96 standard deviations of {self.method}'s own covariance."
@@ -64,7 +69,7 @@ class MethodSeries:
     @property
     def theta_off(self) -> np.ndarray:
         """(T, n) half-width of the interval or bound of each loss."""
-        return self.off(np.diagonal(self.theta_cov, axis1=1, axis2=2))
+        return (1.0 if self.factor is None else self.factor) * self.off(np.diagonal(self.theta_cov, axis1=1, axis2=2))
 
     @property
     def lower(self) -> np.ndarray:

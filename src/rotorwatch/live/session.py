@@ -62,10 +62,7 @@ class Session:
         if motors is None:
             del self._early[:-500]
             return
-        if self.vehicle is None:
-            self.vehicle = airframes.identify(replace(self.about, signals={"motors": motors}))
-        else:
-            airframes.check(self.vehicle, replace(self.about, signals={"motors": motors}))
+        self.vehicle = airframes.of(replace(self.about, signals={"motors": motors}), self.vehicle)
         self.case = Case(self.about, self.vehicle)
         early, self._early = self._early, []
         for more in early:

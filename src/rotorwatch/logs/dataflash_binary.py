@@ -13,7 +13,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -66,6 +66,7 @@ class Format:
         return first if first in ("TimeUS", "TimeMS") and self.codes[0] in "QIqi" else ""
 
 
+@lru_cache(maxsize=1024)  # logs of one folder have the same ones
 def make_format(type_: int, length: int, name: str, codes: str, columns: str, check_length: bool = True) -> Format | None:
     """A Format from the fields of a FMT record, or None where they contradict each other (a damaged record)."""
     if not _NAME.fullmatch(name) or any(c not in CODES for c in codes):
@@ -315,9 +316,18 @@ class BinaryLog:
 
     def _versions(self, name: str | None = None) -> list[tuple[int, Format, np.ndarray]]:
         """(type, Format, record numbers in order) for each definition of `name` (all names if None)."""
-        wanted = [t for t, many in self._formats.items() if name is None or any(fmt.name == name for _, fmt in many)]
+        wanted = self._formats if name is None else self._named.get(name, ())
         versions = [each for type_ in wanted for each in self._versions_of(type_)]
         return [each for each in versions if name in (None, each[1].name)]
+
+    @cached_property
+    def _named(self) -> dict[str, list[int]]:
+        """Name -> types that are ever called so."""
+        named: dict[str, list[int]] = {}
+        for type_, versions in self._formats.items():
+            for name in dict.fromkeys(fmt.name for _, fmt in versions):
+                named.setdefault(name, []).append(type_)
+        return named
 
     def _versions_of(self, type_: int) -> list[tuple[int, Format, np.ndarray]]:
         """The versions of one type, which may be redefined any number of times; identical definitions are merged."""

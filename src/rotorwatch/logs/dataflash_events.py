@@ -30,9 +30,11 @@ def parameters(log, clock) -> tuple[dict[str, float], tuple[tuple[float, str, fl
     now: dict[str, float] = {}
     for time, name, value in _rows(log, clock, "PARM", "Name", "Value"):
         value = float(value)
-        if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_") or not math.isfinite(value):
+        if not math.isfinite(value):
             continue
         if name not in now:
+            if not PARAMETER_NAME.fullmatch(name) or name.startswith("SIM_"):
+                continue
             first[name] = value
         elif now[name] != value:
             changes.append((time, name, value))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from rotorwatch.base.arrays import unique
 from rotorwatch.flight import output_functions
 from rotorwatch.flight.output_functions import SERVO_MOTORS
 
@@ -86,7 +87,7 @@ def outputs(parameters: Mapping[str, float], frame_class: int | None, pwm: Mappi
         if functions:
             notes.append(BY_NUMBER)
         return {k: k for k in expected}, notes
-    moving = [k for k, u in sorted(pwm.items()) if np.unique(u[(u > 500) & (u < 2600)]).size > 1]
+    moving = [k for k, u in sorted(pwm.items()) if unique(u[(u > 500) & (u < 2600)]).size > 1]
     if moving:
         notes.append(f"Neither outputs nor frame are named in the log; moving outputs {_listed(moving)} were taken as rotors.")
     return {rotor + 1: output for rotor, output in enumerate(moving)}, notes
@@ -110,7 +111,7 @@ def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: M
             continue
         columns = np.stack([*rotors, pulses], axis=1)
         fine = (columns > DRIVEN_US).all(axis=1)
-        if fine.sum() < ENOUGH or np.unique(pulses[fine]).size < MOVES:
+        if fine.sum() < ENOUGH or unique(pulses[fine]).size < MOVES:
             continue
         if SERVO_MOTORS.get(function) if functions else _of_one_mixer(columns[fine]):
             extra.append(output)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from rotorwatch.base.arrays import median
+from rotorwatch.base.arrays import median, unique
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.logs import dataflash_rotors, esc_columns, parameter_ranges, px4_outputs, series, wall_clock
@@ -256,7 +256,7 @@ def _motors(log: _Log, parameters, autopilot: str) -> tuple[Signal | None, dict]
 def _moves(column: np.ndarray) -> bool:
     """True if an output takes many values, as rotors' do: servos and spare outputs step between a few."""
     fine = column[np.isfinite(column) & (column > 500) & (column < 2600)]
-    return np.unique(fine).size >= px4_outputs.LEAST_VALUES
+    return unique(fine).size >= px4_outputs.LEAST_VALUES
 
 
 def _first(moving: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rotorwatch.base.arrays import median
+from rotorwatch.base.arrays import median, unique
 from rotorwatch.flight import Signal
 from rotorwatch.flight.output_functions import MOTOR_1, MOTOR_12, in_order, motor_outputs
 from rotorwatch.logs import esc_columns
@@ -104,7 +104,7 @@ def best(instances: Iterable[tuple[str, Any]], parameters, count: int) -> tuple[
 
 def _moves(column: np.ndarray) -> bool:
     fine = column[np.isfinite(column)]
-    return fine.size > 0 and (np.unique(fine).size >= LEAST_VALUES or float(np.abs(fine).max()) <= 1.01)
+    return fine.size > 0 and (unique(fine).size >= LEAST_VALUES or float(np.abs(fine).max()) <= 1.01)
 
 
 def _scaled(values, picked, driver, parameters, moving=False) -> Reading | None:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import unique
 from rotorwatch.base.compiling.running import Definition
 from rotorwatch.logs import ulog_messages
 
@@ -51,7 +52,7 @@ class Messages(NamedTuple):
             rows = self._rows(self.places[mine] + 2, kind.itemsize).view(kind)[:, 0]
             d.data = {name: rows[name] for name in kind.names or ()}
             latest[mine] = rows["timestamp"] if "timestamp" in d.data else 0
-        if set(np.unique(self.ids[self.ids >= 0]).tolist()) - seen:
+        if set(unique(self.ids[self.ids >= 0]).tolist()) - seen:
             return False
         # Messages without a time have that of the latest one before.
         latest = np.maximum(np.maximum.accumulate(latest), np.uint64(log.start_timestamp))
@@ -78,7 +79,7 @@ def messages(data: Any, wanted: Collection[str], beside: Mapping[str, Collection
         return None
     raw = np.frombuffer(data, np.uint8)
     kinds, sizes, places, end = _walked(raw)
-    here = set(np.unique(kinds).tolist())
+    here = set(unique(kinds).tolist())
     if not here <= KNOWN or not here & BEGINS:
         return None
     begins = int(np.flatnonzero(np.isin(kinds, [*BEGINS]))[0])
@@ -98,14 +99,14 @@ def messages(data: Any, wanted: Collection[str], beside: Mapping[str, Collection
     topics = {int(raw[places[k] + 1]) + 256 * int(raw[places[k] + 2]): k for k in added}
     if len(topics) < len(added):
         return None
-    unique, first = np.unique(ids, return_index=True)
-    if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(unique.tolist(), first.tolist())):
+    numbers, first = np.unique(ids, return_index=True)
+    if any(i >= 0 and (i not in topics or topics[i] > k) for i, k in zip(numbers.tolist(), first.tolist())):
         return None
     names = {i: bytes(raw[places[k] + 3 : places[k] + sizes[k]]).decode("latin-1") for i, k in topics.items()}
     wanted = {*wanted, *(name for topic, more in beside.items() if topic in names.values() for name in more)}
     ids[~np.isin(ids, [i for i, name in names.items() if name in wanted])] = -1
     kept = ~is_data
-    kept[[k for i, k in zip(unique.tolist(), first.tolist()) if i >= 0]] = True
+    kept[[k for i, k in zip(numbers.tolist(), first.tolist()) if i >= 0]] = True
     parts = [raw[p - 3 : p + s].tobytes() for p, s in zip(places[kept].tolist(), sizes[kept].tolist())]
     return Messages(raw, kinds, sizes, places, ids, raw[:HEADER].tobytes() + b"".join(parts), end < len(raw), formats)
 

@@ -85,8 +85,7 @@ def obstacle(flight: Flight, vehicle: Vehicle | None = None, progress: Callable[
     vehicle: the airframe, for logs that do not name theirs. progress: called with the finished share, 0..1.
     """
     try:
-        craft = vehicle or airframes.identify(flight)
-        airframes.check(craft, flight)
+        craft = airframes.of(flight, vehicle)
     except RotorwatchError as why:
         return Obstacle("frame", str(why))
     if not flight.has("motors"):

@@ -24,6 +24,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 _PLACES = {
+    "AIR": "engine.estimator.plant:AIR",
     "ANNOUNCED_TICKS": "engine.estimator.announcement:TICKS",
     "Conclusion": "answer.conclusion:Conclusion",
     "DAMPING": "engine.estimator.plant:DAMPING",
@@ -97,6 +98,7 @@ DEFINITIONS = {
 """Files of the default estimator's step, and of the definition that makes losses of its ticks -> their modules."""
 
 __all__ = [
+    "AIR",
     "ANNOUNCED_TICKS",
     "DAMPING",
     "DEFINITIONS",
@@ -185,6 +187,7 @@ if TYPE_CHECKING:
     from rotorwatch.engine.estimator.hypotheses import NOTHING as NOTHING
     from rotorwatch.engine.estimator.hypotheses import SMALL_WIDTH as SMALL_WIDTH
     from rotorwatch.engine.estimator.hypotheses import TOTAL_SHARE as TOTAL_SHARE
+    from rotorwatch.engine.estimator.plant import AIR as AIR
     from rotorwatch.engine.estimator.plant import DAMPING as DAMPING
     from rotorwatch.engine.estimator.plant import GAIN as GAIN
     from rotorwatch.engine.estimator.plant import PER_AXIS as PER_AXIS

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from rotorwatch.answer.wording import rotors
+from rotorwatch.base.arrays import quantile
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.estimator.plant import ANSWER_S
@@ -110,7 +111,7 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     if where is None:
         return None
     highest = where.ticks.thrust[where.onset :, list(claim)].max(axis=1) if claim else np.zeros(0)
-    them = rivals(view.B.shape[1], claim, end_s, {q: float(np.quantile(highest, q)) for q in CAPS} if claim else None)
+    them = rivals(view.B.shape[1], claim, end_s, {q: quantile(highest, q) for q in CAPS} if claim else None)
     also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
     fits, said = compare(where, [r.how for r in them]), tuple(map(float, view.said(event.onset_s)))
@@ -130,14 +131,14 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
 
 def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s: float) -> Span | None:
     """The ticks that tell of an event that is over at end_s, or None where they are too few."""
-    table, learned = view.table, view.learned
+    table, learned = view.clear, view.learned
     assert table is not None and learned is not None
     begun = event.extra.get("grew_until_s", event.detected_s) if named else event.onset_s
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
     where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(table, events, event.rotors))
-    if (len(where.ticks.time) - where.onset) * table.dt < SHORTEST_S:
+    if where.ticks.valid[where.onset :].any(axis=1).sum() * table.dt < SHORTEST_S:
         return None
     if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
         return None
@@ -169,13 +170,13 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     """The event; without an end where the motion after it has more evidence with the loss than without. The loss takes thrust with ANSWER_S
     of lag: a controller answers gusts by quick commands, which any loss would seem to explain in part. What is
     within MARGIN_S of the end does not count: it would be taken for a change of the trim."""
-    if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.table is None:
+    if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.clear is None:
         return event
-    rest, logs, slow = [e for e in events if e is not event], [], lagged(view.table, view.B, ANSWER_S)
+    rest, logs, slow = [e for e in events if e is not event], [], lagged(view.clear, view.B, ANSWER_S)
     for told in (event, replace(event, end_s=None)):
         missing = _missing(slow, [*rest, told])
-        where = span(view.table, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
-        if (len(where.ticks.time) - where.onset) * view.table.dt < SHORTEST_S:
+        where = span(view.clear, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
+        if where.ticks.valid[where.onset :].any(axis=1).sum() * view.clear.dt < SHORTEST_S:
             return event
         near = abs(where.ticks.command_time - event.end_s) < MARGIN_S
         where = replace(where, ticks=replace(where.ticks, valid=where.ticks.valid & ~near[:, None]))

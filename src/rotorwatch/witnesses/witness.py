@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -105,6 +105,11 @@ class View:
             if lost:
                 found &= ~((table.time > min(lost) - FALLS_S) & (table.time <= end))
         return found
+
+    @functools.cached_property
+    def clear(self) -> Ticks | None:
+        """The table, invalid where the ground carries a part of the vehicle: it takes any wrench, so that no motion there is evidence."""
+        return None if self.table is None else replace(self.table, valid=self.table.valid & ~self.ground[:, None])
 
     def spins_from(self, onset: float) -> bool:
         """True if a loss at `onset` [s] begins a spin in which the vehicle flies on, or is one of those in it."""

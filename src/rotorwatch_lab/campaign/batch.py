@@ -22,7 +22,7 @@ from rotorwatch.toolkit import GROUND, LAG_S, Case, Estimated, Ticks, estimated,
 from rotorwatch_lab.campaign import methods, score
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.experiments import counting, limits
-from rotorwatch_lab.published import decide
+from rotorwatch_lab.published import decide, log_plant
 from rotorwatch_lab.simulation import logbook
 from rotorwatch_lab.simulation import plan as flight_plan
 from rotorwatch_lab.simulation.loop import fly_each
@@ -101,7 +101,7 @@ def rows(plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, E
             results.append(row("default", f, estimate, statistic, bound))
     if published:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, learned_states(flown, B))
+        hops = [log_plant.hops(table, B) for table in tables]
         for name in published:
             with _caught(name, failed):
                 outputs = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
@@ -182,25 +182,9 @@ def unasked(raised: Sequence[counting.Alarm]) -> list[float]:
     return [a.detected_s for a in raised if a.event is not None and a.event.source.name != events.ESTIMATOR.name]
 
 
-def _table(table: Ticks, B: np.ndarray, rows: slice = slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """u, y, valid of the default estimator."""
-    u, y, valid = program.inputs(table, B)
-    return u[rows], y[rows], valid[rows]
-
-
 def by_default(flown: Sequence[Flown], whole: bool = False) -> list[Estimated]:
     """Every flight through the default estimator, as `diagnose` does it; whole: as of `estimated`."""
     return [estimated(f.ready, whole=whole) for f in flown]
-
-
-def learned_states(flown: Sequence[Flown], B: np.ndarray) -> list[tuple | None]:
-    """State and noise variances of the default estimator after the learning time of each flight of one hop; None for others."""
-    states: list[tuple | None] = []
-    for f in flown:
-        span, steps = methods.learning(f.ticks), program.steps(f.ticks.dt, B)
-        steps.run(*_table(f.ticks, B, span or slice(0)))
-        states.append(None if span is None else (steps.learned.s, steps.learned.variances))
-    return states
 
 
 def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray | None]:
@@ -208,7 +192,7 @@ def _bounds(flown: Sequence[Flown], B: np.ndarray, size: int) -> list[np.ndarray
     clear = [score.clear_fault(f.scenario) if np.isfinite(f.theta).all() else None for f in flown]
     if not any(clear):
         return [None] * len(flown)
-    u, y, valid = methods.stacked([_table(f.ticks, B) for f in flown], size)
+    u, y, valid = methods.stacked([program.inputs(f.ticks, B) for f in flown], size)
     length = u.shape[1]
     theta = np.stack([np.concatenate([np.nan_to_num(f.theta), np.zeros((length - len(f.theta), B.shape[1]))]) for f in flown])
     rotor = [c["rotor"] - 1 if c else 0 for c in clear]

@@ -30,14 +30,18 @@ from rotorwatch_lab.campaign import plan as plans
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.campaign.score import read_columns
 from rotorwatch_lab.campaign.store import Folder
-from rotorwatch_lab.control import spinning
+from rotorwatch_lab.control import certified, spinning
 from rotorwatch_lab.control.airframe import Airframe
-from rotorwatch_lab.control.allocation import DRIVEN_BY, rows
+from rotorwatch_lab.control.allocation import DRIVEN_BY, believed, rows
 from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.published import log_plant
 from rotorwatch_lab.simulation import logbook, loop, prepare, reconfigured, trajectories
 from rotorwatch_lab.simulation.scenario import Scenario
 
 NOBODY, TRUTH = "nobody", "truth"
+CERTIFIED = "certified"  # allocation by the estimate, as far as that is better for all that is possible (control/certified.py)
+BY = (*DRIVEN_BY, CERTIFIED)
+EXCLUDED = 0.01  # an explanation less probable than this is not possible
 ENTRIES = 8  # beliefs that a flight may act on, one after the other
 MOVED = 0.1  # a belief is acted on when a rotor's effectiveness is this far from what was acted on before
 REFRESH_S = 0.5  # ... and no sooner after that
@@ -62,7 +66,7 @@ def fly(
     aircraft: Callable[[np.ndarray, str], reconfigured.Reconfigured] = reconfigured.Reconfigured,
 ) -> list[dict[str, Any]]:
     """Fly the flights with a driver: "nobody", "truth", or an estimator's name. All must be of one cell of a plan (one frame). by: basis of
-    the allocation, "estimate", "bounds" or "posterior". aircraft(B, by): the simulated aircraft. Returns for each flight its columns of
+    the allocation, one of BY. aircraft(B, by): the simulated aircraft. Returns for each flight its columns of
     COLUMNS. Raises ConfigError."""
     _explains(driver, by)
     scenarios = [flown.flight(k) for k in flights]
@@ -71,7 +75,7 @@ def fly(
             raise ConfigError("closed loop flights end in the air: set land = false in [scenario.trajectory].")
     plans = [prepare.plan(s) for s in scenarios]
     B = rows(prepare.vehicle(scenarios[0]))
-    craft = aircraft(B, by)
+    craft = aircraft(B, "estimate" if by == CERTIFIED else by)
     n, size = B.shape[1], len(plans)
     entries: list[list[reconfigured.Entry]] = [[] for _ in plans]
     if driver == TRUTH:
@@ -82,7 +86,7 @@ def fly(
     for _ in range(turns):
         # A flight without a new belief stays the same, and so do its estimates.
         here = [[row[k] for k in open_] for row in (flights, scenarios, plans, records, entries)]
-        new = [(k, entry) for k, entry in zip(open_, _beliefs(driver, *here, by, size), strict=True) if entry]
+        new = [(k, entry) for k, entry in zip(open_, _beliefs(driver, *here, craft, by, size), strict=True) if entry]
         if not new:
             break
         open_ = [k for k, _ in new]
@@ -140,8 +144,8 @@ def run(
     for driver in drivers:
         if driver not in (NOBODY, TRUTH):
             discovery.estimator(driver)
-    if by not in DRIVEN_BY:
-        raise ConfigError(f"by must be one of {', '.join(DRIVEN_BY)}, not {by}{meant(by, DRIVEN_BY)}.")
+    if by not in BY:
+        raise ConfigError(f"by must be one of {', '.join(BY)}, not {by}{meant(by, BY)}.")
     for driver in drivers:
         _explains(driver, by)
     entered = replace(planned, text=f"{planned.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
@@ -252,7 +256,7 @@ def _entry(scenario: Scenario, since: float, mean, lower, upper, candidates=None
     return reconfigured.entry(len(mean), since, mean, lower, upper, held, gains, candidates, weights)
 
 
-def _beliefs(driver: str, flights, scenarios, plans, records, entries, by: str, size: int) -> list[reconfigured.Entry | None]:
+def _beliefs(driver: str, flights, scenarios, plans, records, entries, craft, by: str, size: int) -> list[reconfigured.Entry | None]:
     """The next entry of each flight, or None."""
     seen = [batch.prepared(*row) for row in zip(flights, scenarios, plans, records, strict=True)]
     here = [k for k, f in enumerate(seen) if f is not None]
@@ -264,16 +268,51 @@ def _beliefs(driver: str, flights, scenarios, plans, records, entries, by: str, 
         outputs = [estimate.out for estimate in batch.by_default(flown, whole=True)]
     else:
         tables = [f.ticks for f in flown]
-        hops = methods.learn(tables, B, batch.learned_states(flown, B))
+        hops = [log_plant.hops(table, B) for table in tables]
         outputs = methods.judge(driver, tables, hops, B, size, ((),))[0]
     beliefs: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, outputs, strict=True):
-        beliefs[k] = _next(scenarios[k], f.ticks, out, entries[k], by)
+        certify = _certifier(craft, plans[k], out, entries[k]) if by == CERTIFIED else None
+        beliefs[k] = _next(scenarios[k], f.ticks, out, entries[k], by, certify)
     return beliefs
 
 
-def _next(scenario: Scenario, ticks, out: program.TickOutput, entries: list[reconfigured.Entry], by: str) -> reconfigured.Entry | None:
-    """The first belief after the last entry that is far enough from it."""
+def _certifier(craft, plan, out: program.TickOutput, entries: list[reconfigured.Entry]) -> Callable[..., np.ndarray | None]:
+    """(tick, mean, lower, upper) -> the effectiveness (n,) that may be acted on, or None."""
+    allocator, commands = craft.allocator, _commands(craft)
+    demand = allocator.B @ np.full(allocator.n, float(plan.pilot.hover))
+    before = entries[-1].mean if entries else np.ones(allocator.n)
+    old = commands(demand, believed(before))
+
+    def certify(k: int, mean, lower, upper) -> np.ndarray | None:
+        others = np.where(out.active[k] > 0, 1.0 - out.each[k], 1.0)[np.asarray(out.share[k]) > EXCLUDED]
+        possible = certified.possible(mean, lower, upper, others)
+        for step in certified.STEPS:
+            e = upper + step * (mean - upper)
+            if np.abs(e - before).max() > MOVED and certified.is_better(allocator, demand, old, commands(demand, believed(e)), possible):
+                return e
+        return None
+
+    return certify
+
+
+@functools.cache
+def _commands(craft) -> Callable[..., np.ndarray]:
+    """(demand (4,), belief) -> commands (n,) of its allocator, compiled."""
+    allocator = craft.allocator
+    return load_jax().jit(lambda demand, belief: allocator.step(allocator.init(), demand, belief)[1].u)
+
+
+def _next(
+    scenario: Scenario,
+    ticks,
+    out: program.TickOutput,
+    entries: list[reconfigured.Entry],
+    by: str,
+    certify: Callable[..., np.ndarray | None] | None = None,
+) -> reconfigured.Entry | None:
+    """The first belief after the last entry that is far enough from it, as far as `certify` (`_certifier`) lets it be acted on. Where the
+    vehicle has to turn, its hover is that of the mean."""
     if len(entries) == ENTRIES:
         return None
     weak = np.asarray(out.active[:, 0], bool)
@@ -296,12 +335,14 @@ def _next(scenario: Scenario, ticks, out: program.TickOutput, entries: list[reco
         expected = np.where(stays, awaited, expected)
         candidates = np.where(stays[:, None], awaited, candidates)
     due = (np.abs(expected - awaited).max(axis=1) > MOVED) & (since > last_s + REFRESH_S) & (ticks.mode > LEARN)
-    if not due.any():
-        return None
-    k = int(np.argmax(due))
-    low, high = np.clip(mean[k] - apart[k], 0.0, 1.0), np.clip(mean[k] + apart[k], 0.0, 1.0)
-    others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
-    return _entry(scenario, float(since[k]), mean[k], low, high, *others)
+    low, high = np.clip(mean - apart, 0.0, 1.0), np.clip(mean + apart, 0.0, 1.0)
+    for k in np.flatnonzero(due):
+        acted = certify(k, mean[k], low[k], high[k]) if certify else mean[k]
+        if acted is not None:
+            others = (candidates[k], weights[k]) if candidates is not None and weights is not None else ()
+            made = _entry(scenario, float(since[k]), mean[k], low[k], high[k], *others)
+            return made if made.turning > 0.5 else made._replace(mean=acted)
+    return None
 
 
 @functools.cache

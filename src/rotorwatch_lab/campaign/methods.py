@@ -16,10 +16,10 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.toolkit import LEARN, PER_AXIS, Ticks, list_hypotheses, program
+from rotorwatch.toolkit import Ticks, list_hypotheses, program
 from rotorwatch_lab.compiling.run import engine, run, run_built
 from rotorwatch_lab.experiments import tools
-from rotorwatch_lab.published import log_plant, published
+from rotorwatch_lab.published import published
 from rotorwatch_lab.published.log_plant import LogPlant
 from rotorwatch_lab.published.published import Decisions
 
@@ -100,7 +100,7 @@ def _side_by_side(program, step: int, hops: Sequence[LogPlant], B: np.ndarray, s
 def judge(
     name: str, tables: Sequence[Ticks], hops: Sequence[Sequence[LogPlant]], B: np.ndarray, size: int, decisions: Decisions
 ) -> list[list[program.TickOutput]]:
-    """Output of `published.judge` for each decision and each flight. hops: of each flight, by `learn`."""
+    """Output of `published.judge` for each decision and each flight. hops: of each flight, by `log_plant.hops`."""
     hyp = list_hypotheses(B.shape[1])
     outputs = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):
@@ -109,19 +109,3 @@ def judge(
             for which, seen in enumerate(found):
                 published.record(outputs[which][k], seen, hops[k][turn], hyp, B)
     return outputs
-
-
-def learn(tables: Sequence[Ticks], B: np.ndarray, learned_states: Sequence[tuple | None]) -> list[tuple[LogPlant, ...]]:
-    """The hops of each flight as plants and tables. learned_states: state and noise variances of the default estimator at the end of the
-    learning time, for flights of one hop; None: computed for the flight alone."""
-    plants = []
-    for table, learned in zip(tables, learned_states, strict=True):
-        known = None if learned is None else {"x0": learned[0][: 4 * PER_AXIS], "noise": learned[1]}
-        plants.append(log_plant.hops(table, B, known))
-    return plants
-
-
-def learning(table: Ticks) -> slice | None:
-    """The rows from the take-off to the last learning tick, of a flight of one hop; None for others."""
-    starts, learned = np.flatnonzero(table.restart), np.flatnonzero(table.mode == LEARN)
-    return slice(int(starts[0]), int(learned[-1]) + 1) if starts.size == 1 and learned.size else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rotorwatch.flight.diagnosis import Diagnosis
+from rotorwatch.flight.kinds import CAPPED, LOSS, OVERRIDE, SLOW_RESPONSE, STANDS_APART, TURNED, UNEVEN
 from rotorwatch.toolkit import Conclusion
 from rotorwatch_lab.experiments import counting
 from rotorwatch_lab.experiments.counting import DOUBTS as DOUBTS
@@ -12,6 +13,11 @@ from rotorwatch_lab.experiments.counting import FALSE as FALSE
 from rotorwatch_lab.simulation.scenario import Scenario
 
 LOSSES = ("loss", "complete loss", "chipped", "weak motor", "float")
+KINDS = {
+    "tilt": (TURNED, UNEVEN), "slow": (SLOW_RESPONSE,), "stuck": (OVERRIDE, LOSS), "capped": (CAPPED, OVERRIDE, LOSS),
+    "strong": (STANDS_APART,),
+}  # fmt: skip
+"""Fault that is no loss -> kinds of events that name it: of a capped or stuck rotor the loss that it causes, too."""
 NAMED_OR_NOT = ("strong", "tilt")
 """Faults that cost no thrust: right when their rotor is named, clean when nobody is."""
 
@@ -42,6 +48,9 @@ def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]
     row: dict[str, Any] = {
         "accused": "+".join(map(str, sorted(counting.accused(answer)))), "outcome": counting.outcome(answer, truth, onset, nameless)
     }  # fmt: skip
+    if group(scenario) == "other":
+        meant = {kind for f in scenario.faults for kind in KINDS.get(f["kind"], ())}
+        row["named"] = row["outcome"] not in counting.FALSE and any(e.kind in meant for e in answer.events)
     rightful = [e for e in counting.sure(answer) if set(e.rotors) & truth and e.detected_s >= onset - counting.EARLY_S]
     if not rightful:
         return row

@@ -101,8 +101,9 @@ def summarise(rows: Any, name: str = "") -> dict[str, Any]:
 
 def measures(flights: Sequence[dict]) -> dict[str, Any]:
     """Counts, shares and rates of some flights with 95 % intervals; None where there is nothing to count. accused: a healthy rotor is
-    accused with certainty; hours: of flights without a fault, accused_h: accusations in them per hour; ended: lasting faults reported as
-    over; unanswered: logs that are inconclusive or refused."""
+    accused with certainty; named: faults that are no loss whose kind the answer names, with no healthy rotor accused; hours: of flights
+    without a fault, accused_h: accusations in them per hour; ended: lasting faults reported as over; unanswered: logs that are
+    inconclusive or refused."""
     healthy = [f for f in flights if f["group"] == "healthy"]
     hours = sum(f["airborne_s"] or 0.0 for f in healthy) / 3600.0
     errors = [f["error"] for f in flights if f["error"] is not None]
@@ -112,6 +113,7 @@ def measures(flights: Sequence[dict]) -> dict[str, Any]:
         "accused": tools.share([o in open_score.FALSE for o in outcomes]),
         "doubt": tools.share([o in open_score.DOUBTS for o in outcomes]),
         "right": tools.share([f["outcome"] == "right" for f in flights if f["group"] != "healthy"]),
+        "named": tools.share([f["named"] for f in flights if f["named"] is not None]),
         "hours": hours,
         "accused_h": tools.rate(sum(f["outcome"] in open_score.FALSE for f in healthy), hours),
         "error": float(np.sqrt(np.mean(np.square(errors)))) if errors else None,
@@ -123,10 +125,10 @@ def measures(flights: Sequence[dict]) -> dict[str, Any]:
 
 
 HEADS = (
-    "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "healthy hours", "accused an hour", "size, rms",
-    "intervals hold", "said to be over", "crashed", "no answer",
+    "kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "kind named", "healthy hours", "accused an hour",
+    "size, rms", "intervals hold", "said to be over", "crashed", "no answer",
 )  # fmt: skip
-BRIEF = {"kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "no answer"}
+BRIEF = {"kind of flight", "flights", "a healthy rotor accused", "ambiguous", "right", "kind named", "no answer"}
 
 
 def markdown(summary: dict[str, Any], brief: bool = False) -> str:
@@ -174,7 +176,7 @@ def _unanswered(line: dict[str, Any]) -> str:
 def _cells(m: dict[str, Any]) -> list[Any]:
     """A line of the summary as the cells of a row."""
     return [
-        *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right"))),
+        *(m["name"], m["flights"], *(_share(m[key]) for key in ("accused", "doubt", "right", "named"))),
         *(f"{m['hours']:.2f}" if m["hours"] else "-", _dashed(tools.interval(m["accused_h"], 2))),
         *("-" if m["error"] is None else f"{m['error']:.3f}", _share(m["holds"])),
         *(m["ended"], m["crashed"], m["unanswered"]),

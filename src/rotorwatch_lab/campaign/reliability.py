@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorwatch.base import files, optional
 from rotorwatch.flight.kinds import LOSS, SLOW_RESPONSE
+from rotorwatch.toolkit import odds
 from rotorwatch_lab.campaign import claims, odds_fit
 from rotorwatch_lab.campaign.claims import HARMLESS, Flown
 from rotorwatch_lab.campaign.plan import Plan, read
@@ -102,7 +103,8 @@ def _rotors(flown: Sequence[Flown]) -> Iterator[tuple[float, bool]]:
             at_fault = [odds_fit.at_fault(r) for r in claim.rows]
             for i in range(flight.rotors):
                 if i in what.must or i not in what.may:
-                    yield float(sum(p for p, who in zip(share, at_fault) if i in who)), i in what.must
+                    said = float(sum(p for p, who in zip(share, at_fault) if i in who))
+                    yield min(said, odds.SUREST), i in what.must
 
 
 def to_dict(found: Sequence[Bin]) -> list[dict[str, Any]]:

@@ -112,10 +112,11 @@ def ablate(plan, logs, flights, hours, only, variants, witnesses, jobs, schedule
 )
 @click.option(
     "--by",
-    type=click.Choice(["estimate", "bounds", "posterior"]),
+    type=click.Choice(["estimate", "bounds", "posterior", "certified"]),
     default="estimate",
     show_default=True,
-    help="Of what is believed: the mean, the worst case within its interval, or all explanations with their weights.",
+    help="Of what is believed: the mean, the worst case within its interval, all explanations with their weights, or the mean once acting "
+    "on it is better for all that is possible.",
 )
 @spread
 @click.option("-o", "--out", required=True, type=OUT, metavar="DIR", help="Folder of the results.")

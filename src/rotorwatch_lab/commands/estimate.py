@@ -25,12 +25,13 @@ HELICOPTER = "aesmf"  # the method for helicopters when none is named
 @option("--plant", "rates: rotation, identified from the flight; paper: that of the method's paper; both.", "rates",
         type=click.Choice(("rates", "paper", "both")))  # fmt: skip
 @option("--tuning", "Tuning of the method (TOML), as `rotorwatch tune` writes it.", type=LOG, metavar="FILE")
+@option("--calibrated", "Widen the intervals of losses so that they hold (docs/estimate.md).", is_flag=True)
 @option("--truth", "True losses (CSV), to plot and compare.", type=LOG, metavar="FILE")
 @option("--airframe", "For a helicopter log: an airframe of a paper, such as ruav-40kg, or an airframe file.", metavar="NAME|FILE")
 @option("--lag", "Of a helicopter's actuators, s.", 0.03, type=click.FloatRange(0.001, 1.0))
 @JSON
 @common
-def estimate(log, methods, outs, vehicle, baselines, plant, tuning, truth, airframe, lag, as_json, quiet) -> None:
+def estimate(log, methods, outs, vehicle, baselines, plant, tuning, calibrated, truth, airframe, lag, as_json, quiet) -> None:
     """Run published methods over LOG and show their own estimates over time: losses with intervals or bounds, states and innovations.
     `rotorwatch diagnose --estimator NAME` decides which rotor is faulty.
     """
@@ -53,7 +54,7 @@ def estimate(log, methods, outs, vehicle, baselines, plant, tuning, truth, airfr
     with progress(quiet) as report:
         found = run(
             log, names, vehicle=vehicle_of(vehicle), baseline=baselines, plant=plant, tuning=tuned, airframe=airframe, lag_s=lag,
-            truth=truth, progress=report,
+            truth=truth, calibrated=calibrated, progress=report,
         )  # fmt: skip
     for path in outs:
         found.write(path)

@@ -2,6 +2,7 @@
 
     box.py          the exact least squares problem over a box, in a fixed number of turns
     allocation.py   demands (thrust, roll, pitch, yaw) -> commands of the rotors, by what is believed of each rotor
+    certified.py    whether acting on a belief is better for every loss that is possible
     airframe.py     the numbers of a vehicle that its control is designed from
     excitation.py   a small excitation that moves nothing, unless rotors are weak: which ones?
     spinning.py     hover while turning, where it is impossible otherwise, and the feedback that holds it

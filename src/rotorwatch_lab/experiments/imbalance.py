@@ -80,10 +80,11 @@ class Drawn(NamedTuple):
 
 def simulated(
     seed: int, rotors: int = 4, duration: float = 90.0, rate_hz: float = 1000.0, telemetry_hz: float = 0.0, times: float = 1.0,
-    adds: float = 0.0,
+    adds: float = 0.0, speeds: bool = True,
 ) -> Drawn:  # fmt: skip
     """A drawn flight of a vehicle with so many rotors. telemetry_hz: of the rotor speeds; 0: as often as the sensor. times, adds: a drawn
-    rotor's unbalance is multiplied in flight, and gets so many g mm/kg more, at a drawn angle."""
+    rotor's unbalance is multiplied in flight, and gets so many g mm/kg more, at a drawn angle. speeds: whether they are logged; else the
+    commands are (`_commands`)."""
     rng = np.random.default_rng([seed, rotors])
     usual = np.exp(rng.uniform(np.log(500.0), np.log(2000.0)))  # rad/s: 80 to 320 turns a second
     time = np.arange(0.0, duration, 1.0 / rate_hz)
@@ -106,9 +107,23 @@ def simulated(
         time, speed, telemetry_hz or rate_hz, float(rng.uniform(0.001, 0.02)), float(rng.uniform(0.0, 3.0)), each=bool(telemetry_hz)
     )
     sensor = Signal(time, values, NAMES, "m/s^2", "FRD", "simulated")
-    flight = Flight("simulated", "ArduPilot", {"raw_accel": sensor, "esc": esc}, duration, name=f"simulated {seed}")
+    signals = {"raw_accel": sensor, "esc": esc} if speeds else {"raw_accel": sensor, "motors": _commands(time, speed, rng)}
+    flight = Flight("simulated", "ArduPilot", signals, duration, name=f"simulated {seed}")
     changed = times != 1.0 or adds != 0.0
     return Drawn(flight, rotor if changed else 0, onset, unbalance)
+
+
+def _commands(time: np.ndarray, speed: np.ndarray, rng: np.random.Generator) -> Signal:
+    """The commands that were followed by speeds (n, R) at times (n,): speed = gain command^curve behind a lag. Motors and propellers differ
+    by 1 %, gusts and friction change the speed by as much within 40 ms (as in 17 real flights of a quadrotor), and the battery sags."""
+    rotors = speed.shape[1]
+    lag, curve, hover, sag = (float(rng.uniform(*ends)) for ends in ((0.02, 0.06), (0.5, 0.9), (0.2, 0.5), (0.0, 0.08)))
+    knots = np.arange(time[0], time[-1] + 0.08, 0.04)
+    missed = np.stack([np.interp(time, knots, column) for column in rng.normal(0.0, 0.012, (knots.size, rotors)).T], axis=1)
+    wanted = np.log(speed / speed.mean()) - missed - rng.normal(0.0, 0.01, rotors) + sag * ((time - time[0]) / time[-1])[:, None]
+    command = hover * np.exp((wanted + lag * np.gradient(np.log(speed), time, axis=0)) / curve)
+    rows = np.arange(0, time.size, max(1, round(time.size / (time[-1] - time[0]) / float(rng.choice([50.0, 100.0, 400.0])))))
+    return Signal(time[rows], np.clip(command, 0.0, 1.0)[rows], tuple(f"r{k + 1}" for k in range(rotors)), "1", "", "simulated")
 
 
 def _moves(time: np.ndarray, columns: int, rng: np.random.Generator) -> np.ndarray:

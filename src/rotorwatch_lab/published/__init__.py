@@ -6,5 +6,6 @@ own.py              the raw output of a method, step by step
 helicopter_log.py   the same for a helicopter's log
 paper_log.py        a method on the plant of its own paper
 decide.py           when an estimate means a fault
+conformal.py        intervals that hold, by factors from flights of known truth
 observability.py    observability of the losses, of any plant
 """

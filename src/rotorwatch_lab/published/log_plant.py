@@ -8,6 +8,9 @@ is the rotational dynamics of systems/rate_dynamics.py in hover thrusts of one r
 so the data that the default method learns gains and noise from - healthy flights, else the first seconds of this one - give
 the plant. Roll and pitch torques are in arm lengths, yaw in drag ratios; a flat body, J_z = J_x + J_y, makes them one unit.
 
+The trim b is of hover: learned in a climb it would be the air's, near 9 % of the thrust at 2.5 m/s. A hop's rows begin once it has hovered
+for HOVER_S after the learning time, or waited WAIT_S for it. What the air column takes at the axial speed v, n k v, is added to the load.
+
 A tick's rate is a mean over the tick; from one to the next it changes by what the commands of both did, so a row's u is the
 mean of two ticks' commands, and f_z of two ticks' loads.
 """
@@ -20,13 +23,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.base.physics import G0
-from rotorwatch.toolkit import DAMPING, GAIN, GROUND, JUDGE, LEARN, PER_AXIS, TAU, Ticks, program, usual_gains
+from rotorwatch.toolkit import AIR, DAMPING, GAIN, GROUND, JUDGE, LEARN, PER_AXIS, TAU, Ticks, program, usual_gains
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 GAIN_RANGE = 3.0  # a gain further than this factor from what any multirotor has was learned from noise
 FASTEST_DAMPING = 5.0  # 1/s
 LEAST_SD = 0.002  # hover thrusts: no torque is known better
 LEAST_ACCEL_SD = 0.1  # m/s^2
+STILL_M_S = 0.5  # axial speed of hover
+HOVER_S, WAIT_S = 3.0, 10.0
+LEAST_S = 1.0  # of learning
 
 
 @dataclass(frozen=True)
@@ -34,7 +40,7 @@ class LogPlant:
     """A hop of a flight as the table of a plant. parameters: arrays that `system` makes the RateDynamics of.
 
     u (T, n) thrusts in hover thrusts of one rotor; y (T, 4) = (p, q, r [rad/s], f_z [m/s^2]); valid (T, 4); dt [s].
-    rows (T,): which ticks they are.
+    rows (T,): which ticks they are; trimmed: those that taught the trim.
     """
 
     parameters: dict
@@ -43,6 +49,7 @@ class LogPlant:
     valid: np.ndarray
     rows: np.ndarray
     dt: float
+    trimmed: np.ndarray
 
     @property
     def system(self) -> RateDynamics:
@@ -74,18 +81,35 @@ def hops(table: Ticks, B: np.ndarray, dynamics: dict | None = None) -> tuple[Log
 
 def _hop(table: Ticks, B: np.ndarray, dynamics: dict | None, start: int, stop: int) -> LogPlant | None:
     here = np.arange(start, stop)
-    learning, judging = here[table.mode[here] == LEARN], here[table.mode[here] == JUDGE]
-    if not judging.size or learning.size * table.dt < 1.0:
+    judging = here[table.mode[here] == JUDGE]
+    learning = here[table.mode[here] == LEARN]
+    learning = learning[: np.searchsorted(learning, judging[0])] if judging.size else learning
+    if not judging.size or learning.size * table.dt < LEAST_S:
         return None
-    x, noise = _learned(_cut(table, start, int(learning[-1]) + 1), B, dynamics)
+    axial = np.zeros(len(table.time)) if table.axial is None else np.nan_to_num(table.axial)
+    trimmed, end = _hover(table, axial, learning, judging)
+    judging = judging[judging > end]
+    if not judging.size:
+        return None
+    x, noise, k = _learned(_cut(table, start, end + 1), B, dynamics)
     G, c = _plausible(x.reshape(4, PER_AXIS), B.shape[1])
-    b = _trim(table, learning, G, c)
+    load = table.load + k * axial / G[3]
+    b = _trim(table, load, trimmed, G, c)
     previous = np.maximum(judging - 1, start)
     u = 0.5 * (table.thrust[judging] + table.thrust[previous])
-    load = 0.5 * (table.load[judging] + table.load[previous])
-    y = np.column_stack([table.rate[judging], -G0 * load])
+    y = np.column_stack([table.rate[judging], -0.5 * G0 * (load[judging] + load[previous])])
     valid = table.valid[judging] & table.valid[previous] & (table.mode[previous] > GROUND)[:, None]
-    return LogPlant(parameters(B, G, c, b, noise, table.dt), u, y, valid, judging, table.dt)
+    return LogPlant(parameters(B, G, c, b, noise, table.dt), u, y, valid, judging, table.dt, trimmed)
+
+
+def _hover(table: Ticks, axial: np.ndarray, learning: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, int]:
+    """The ticks to learn the trim from, and the last one before rows begin. axial (T,) m/s; learning, judging: ticks of these modes."""
+    candidates, wanted = np.concatenate([learning, judging]), min(round(HOVER_S / table.dt), learning.size)
+    latest = int(learning[-1]) + round(WAIT_S / table.dt)
+    still = candidates[(np.abs(axial[candidates]) < STILL_M_S) & (candidates <= latest)]
+    end = max(int(learning[-1]), int(still[wanted - 1])) if still.size >= wanted else latest
+    still = still[still <= end]
+    return still if still.size * table.dt >= LEAST_S else learning, end
 
 
 def parameters(B: np.ndarray, G, c, b, noise: np.ndarray, dt: float) -> dict:
@@ -114,12 +138,14 @@ def parameters(B: np.ndarray, G, c, b, noise: np.ndarray, dt: float) -> dict:
     }
 
 
-def _learned(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarray, np.ndarray]:
-    """State (20,) and noise variances (4, 4) of the default method: from healthy flights, else after the ticks of `part`."""
+def _learned(part: Ticks, B: np.ndarray, dynamics: dict | None) -> tuple[np.ndarray, np.ndarray, float]:
+    """State (20,), noise variances (4, 4) and loss of thrust by the air k [1 / (m/s)] of the default method: from healthy flights, else
+    after the ticks of `part`."""
     if dynamics:
-        return np.array(dynamics["x0"], float), np.array(dynamics["noise"], float)
+        return np.array(dynamics["x0"], float), np.array(dynamics["noise"], float), float(dynamics.get("air", [0.0])[0])
     carry, _ = program.estimate(part, B)
-    return np.asarray(carry.s)[: 4 * PER_AXIS], np.asarray(carry.variances)
+    s = np.asarray(carry.s)
+    return s[: 4 * PER_AXIS], np.asarray(carry.variances), float(s[AIR])
 
 
 def _plausible(x: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -129,10 +155,10 @@ def _plausible(x: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     return G, np.clip(x[:, DAMPING], 0.0, FASTEST_DAMPING * G * [1.0, 1.0, 1.0, 0.0])
 
 
-def _trim(table: Ticks, rows: np.ndarray, G: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """(4,) median of the commanded wrench less what the motion shows; 0 on an axis that is not measured."""
+def _trim(table: Ticks, load: np.ndarray, rows: np.ndarray, G: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """(4,) median of the commanded wrench less what the motion, with this load (T,), shows; 0 on an axis that is not measured."""
     n = table.thrust.shape[1]
-    motion = np.column_stack([table.rate_dot[rows], n * table.load[rows]])
+    motion = np.column_stack([table.rate_dot[rows], n * load[rows]])
     turning = np.column_stack([table.rate[rows], np.zeros(rows.size)])
     rest = table.wrench[rows] - G * motion - c * turning
     return np.array([np.median(r[ok]) if ok.any() else 0.0 for r, ok in zip(rest.T, table.valid[rows].T)])

@@ -6,8 +6,8 @@ log.
     linear hover         attitude, rates, height and climb             intermediate (Nguyen and others)
     rigid body           position and Euler angles                     tsukf, atsukf (Zhang and others)
 
-Thrust follows from hover: the mean command of the learning time carries the weight. What torque those commands leave over is trim, and is
-taken out of them, so that a sound vehicle has no loss. Noise of torques is what the log has taught (log_plant.py).
+Thrust follows from hover: the mean command of the ticks that taught the trim carries the weight. What torque those commands leave over is
+taken out of all, so that a sound vehicle has no loss. Noise of torques is what the log has taught (log_plant.py).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.method_series import MethodSeries, joined
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.toolkit import LEARN, Ticks
+from rotorwatch.toolkit import Ticks
 from rotorwatch_lab.compiling.run import chosen, run
 from rotorwatch_lab.published import own
 from rotorwatch_lab.published.log_plant import LogPlant
@@ -41,7 +41,7 @@ PAPER = "of the paper"
 FRESH_S = 0.15  # a sample is used at ticks for so long
 NOTES = (
     "the plant is that of the method's paper, in SI units: mass, inertias, arm and drag ratio are the vehicle file's, thrust follows from "
-    "hover, and what torque the commands leave over in the learning time is taken out of them: a loss is a change since then",
+    "hover, and what torque the commands leave over there is taken out of them: a loss is a change since then",
 )
 
 
@@ -105,18 +105,11 @@ def estimate(name: Any, flight: Flight, vehicle: Vehicle, table: Ticks, hops: Se
         valid = np.isfinite(y)
         # Mean rates lag half a tick behind; what is sampled at a tick's end moved with that tick's commands.
         thrust = hop.u if fill is _rates else table.thrust[hop.rows]
-        u = thrust + _trim(known, table.thrust[_learning(table, hop)].mean(axis=0))
+        u = thrust + _trim(known, table.thrust[hop.trimmed].mean(axis=0))
         _, outputs = run(estimator, u, np.where(valid, y, 0.0), valid, own.own, progress, backend=chosen(None, "jax"))
         series = own.series(title, estimator, outputs, time, k, hop.dt, NOTES)
         parts.append(replace(series, plant=f"{series.plant} ({PAPER})"))
     return joined(parts)
-
-
-def _learning(table: Ticks, hop: LogPlant) -> np.ndarray:
-    """The ticks of the hop's flight in which it was learned, before its first row."""
-    start = np.flatnonzero(table.restart[: hop.rows[0] + 1])[-1]
-    here = np.arange(start, hop.rows[0])
-    return here[(table.mode[here] == LEARN) & (table.thrust[here] > 0.0).all(axis=1)]
 
 
 def _trim(known: Numbers, mean: np.ndarray) -> np.ndarray:

@@ -20,8 +20,8 @@ import numpy as np
 from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
-from rotorwatch.flight.method_series import MethodSeries, joined
-from rotorwatch.toolkit import PLACES, Estimation, Hypotheses, TickOutput, Ticks, list_hypotheses, program, rotor_sets
+from rotorwatch.flight.method_series import INTERVAL, MethodSeries, joined
+from rotorwatch.toolkit import JUDGE, PLACES, Estimation, Hypotheses, TickOutput, Ticks, list_hypotheses, program, rotor_sets
 from rotorwatch_lab.compiling.run import chosen, run, run_built
 from rotorwatch_lab.published import decide, log_plant, own
 from rotorwatch_lab.published.log_plant import LogPlant
@@ -203,6 +203,22 @@ def estimation(
 def itself(name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None) -> MethodSeries:
     """Raw output of the method on the judged ticks of a flight with at least one such hop, without decisions."""
     return joined([run_hop(name, hop, B, table.time, k, tuning, progress)[0] for k, hop in enumerate(hops, start=1)])
+
+
+def default(table: Ticks, B: np.ndarray, dynamics: dict | None = None, progress=None) -> MethodSeries:
+    """What the default estimator says on the judged ticks of a flight: losses of the rotors it holds for weak, and with which standard
+    deviation a loss of the others would be measured. It has no states of this plant's; innovations are of the wrench."""
+    _, out = program.estimate(table, B, dynamics, progress)
+    rows = np.flatnonzero(table.mode == JUDGE)
+    hop, none = np.cumsum(table.restart)[rows], np.zeros((len(rows), 0))
+    sd = np.where(out.theta > 0.0, out.theta_sd, out.detectable)[rows]
+    cov = np.einsum("ti,ij->tij", sd**2, np.eye(B.shape[1]))
+    names = tuple(f"loss_{k + 1}" for k in range(B.shape[1]))
+    wrench = ("roll", "pitch", "yaw", "thrust")
+    return MethodSeries(
+        "default", "wrench balance", INTERVAL, table.time[rows], hop, out.theta[rows], cov, none, none, out.innovation[rows],
+        out.innovation_var[rows], np.where(table.valid[rows].any(axis=1), 0, 2), names, (), (), wrench, ("hover thrusts",) * 4, table.dt,
+    )  # fmt: skip
 
 
 PLANT_NOTES = (

@@ -145,6 +145,9 @@ def _raw(scenario: Scenario, plan: Plan, record: Record) -> dict[str, Signal]:
     values = np.stack([np.interp(time, record.time, a) for a in record.accel.T], axis=1)
     values = values + vibration.acceleration(angle, speed, unbalance, frame) + np.asarray(plan.sensors.accel_bias)
     values += s["accel_noise"] * np.sqrt(0.5 * hz) * rng.standard_normal(values.shape)
+    if s["track_error"]:
+        track, phase = rng.rayleigh(s["track_error"] / np.sqrt(0.5 * np.pi), rotors), rng.uniform(0.0, 2.0 * np.pi, rotors)
+        values += vibration.acceleration(angle + phase, speed, track, vibration.axial(frame), (2, s["track_error"]))
     columns, unit, axes, _ = SHAPES["raw_accel"]
     signals = {"raw_accel": Signal(time, values, columns, unit, axes, RAW_SOURCES[scenario.autopilot])}
     if scenario.logging["esc"]:

@@ -102,7 +102,7 @@ HELICOPTER_FIELDS: dict[str, tuple[str, ...]] = {
     "wind": tuple(name for name in FIELDS["wind"] if name != "falls"),
     "outside": (),
     "battery": (),
-    "sensors": tuple(name for name in FIELDS["sensors"] if not name.startswith(("reset", "imbalance"))),
+    "sensors": tuple(name for name in FIELDS["sensors"] if not name.startswith(("reset", "imbalance", "track"))),
     "logging": ("profile",),
 }
 """What a helicopter has of `FIELDS`."""

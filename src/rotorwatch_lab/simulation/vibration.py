@@ -5,8 +5,9 @@ A rotor with the unbalance U [kg m] pulls a vehicle of mass M with a force that 
     a(t) = Re sum_r  u_r w_r^2 H_r(w_r) exp(j phi_r),     phi_r = integral of w_r dt,     u = U / M  [1e-6 m = g mm per kg]
 
 H_r (3,) is the frame: of a rigid one (1, -+j, 0), for the rotor's direction of turning; a real one bends, so that the axes are drawn around
-that and pass a resonance. Blades that pass an arm and fly in unlike tracks shake at b phi_r, in proportion to w^2 as well. A gyro measures
-the integral of an angular acceleration of the same form.
+that and pass a resonance. Blades that pass an arm shake at b phi_r, in proportion to w^2 as well. Blades that fly in unlike tracks lift
+unlike: the thrust turns beside the axis and nods the frame once per turn, along the axis (`axial`). A gyro measures the integral of an
+angular acceleration of the same form.
 
 Tones are evaluated at the samples' own times: above half the sampling rate they alias as in a sensor that is read without a filter. A
 low-pass or a mean before the log multiplies them by its gain at their frequency.
@@ -44,6 +45,11 @@ class Frame(NamedTuple):
         """H (n, R, 3) at speeds (n, R) rad/s."""
         ratio = speed / (2.0 * np.pi * self.resonance_hz)
         return self.gain / (1.0 - ratio**2 + 2j * self.damping * ratio)[..., None]
+
+
+def axial(frame: Frame) -> Frame:
+    """The same frame, as it passes what pulls along the rotors' axes."""
+    return frame._replace(gain=np.tile(np.array([0.0, 0.0, 1.0], complex), (len(frame.gain), 1)))
 
 
 def rigid(spins: np.ndarray) -> Frame:

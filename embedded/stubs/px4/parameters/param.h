@@ -5,7 +5,7 @@ typedef uint16_t param_t;
 namespace px4
 {
 /* Of the module.yaml files, sorted. */
-enum class params : uint16_t { ROTW_EN, ROTW_TEXT };
+enum class params : uint16_t { ROTW_ACT, ROTW_EN, ROTW_TEXT };
 }
 __BEGIN_DECLS
 __EXPORT param_t param_find(const char *name);

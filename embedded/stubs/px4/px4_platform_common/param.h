@@ -36,8 +36,13 @@ private:
 #define STUB_DECLARE(x) do_not_explicitly_use_this_namespace::STUB_PLAIN x
 #define STUB_DROP(...)
 #define STUB_MEMBER(x) STUB_DROP x
-#define DEFINE_PARAMETERS(a) \
+#define DEFINE_PARAMETERS(a, b) \
 	STUB_DECLARE(a); \
+	STUB_DECLARE(b); \
 protected: \
-	void updateParamsImpl() final { STUB_MEMBER(a).update(); } \
+	void updateParamsImpl() final \
+	{ \
+		STUB_MEMBER(a).update(); \
+		STUB_MEMBER(b).update(); \
+	} \
 private:

@@ -24,6 +24,7 @@ read by `len(text)` and `ord(text[k])`. Bytes: what is only read, each a number 
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Sequence
@@ -197,6 +198,7 @@ def _wrapped(value: int) -> int:
     return ((value + 0x80000000) & 0xFFFFFFFF) - 0x80000000
 
 
+@functools.cache
 def snake(name: str) -> str:
     """rw_half_second of HalfSecond: the name of a Struct in C."""
     return "rw_" + re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()

@@ -11,8 +11,7 @@ import numpy as np
 from rotorwatch.engine.bindings.learning import dynamics
 from rotorwatch.engine.bindings.program import Learned, inputs, laid_out, parameters
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.estimator import estimator, explanations
-from rotorwatch.engine.estimator.estimator_sizes import PLACES
+from rotorwatch.engine.estimator import estimator, explanations, kalman
 from rotorwatch.engine.motion.tick_table import GROUND, Ticks
 
 NEVER = 1 << 30  # a tick
@@ -102,24 +101,20 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     tables = np.ascontiguousarray(u, float), np.ascontiguousarray(where.y, float), np.ascontiguousarray(valid, bool)
     noise = np.ascontiguousarray(np.asarray(where.learned.variances).reshape(-1))
     time = ticks.command_time
-    found: list[Fit] = []
 
     def tick(at_s: float) -> int:
         return int(np.searchsorted(time, at_s)) if np.isfinite(at_s) else NEVER
 
-    for first in range(1, max(len(them), 2), PLACES - 1):
-        group = [them[0], *them[first : first + PLACES - 1]]
-        rows = ENGINE.array(explanations.Explanation, len(group))
-        columns = {
-            name: np.array([getattr(e, name) for e in group])
-            for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load")
-        }
-        rows.fill(
-            rotors=np.array([sum(1 << i for i in e.rotors) for e in group]), end=np.array([tick(e.end_s) for e in group]),
-            step=np.array([e.step * where.width for e in group]), **columns,
-        )  # fmt: skip
-        ENGINE.call(explanations.explain, plant, ENGINE.new(estimator.Estimator), noise, len(time), *tables, where.onset, len(group), rows)
-        sd = np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))
-        fits = [Fit(float(rows["fit"][k]), rows["square"][k].copy(), rows["loss"][k, :n].copy(), sd[k]) for k in range(len(group))]
-        found += fits if first == 1 else fits[1:]
-    return found
+    rows, others = ENGINE.array(explanations.Explanation, len(them)), ENGINE.array(kalman.Branch, max(len(them) - 1, 1))
+    columns = {
+        name: np.array([getattr(e, name) for e in them])
+        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load")
+    }
+    rows.fill(
+        rotors=np.array([sum(1 << i for i in e.rotors) for e in them]), end=np.array([tick(e.end_s) for e in them]),
+        step=np.array([e.step * where.width for e in them]), **columns,
+    )  # fmt: skip
+    state = ENGINE.new(estimator.Estimator)
+    ENGINE.call(explanations.explain, plant, state, noise, len(time), *tables, where.onset, len(them), rows, others)
+    fit, square, loss, sd = rows["fit"], rows["square"], rows["loss"][:, :n], np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))
+    return [Fit(float(fit[k]), square[k].copy(), loss[k].copy(), sd[k]) for k in range(len(them))]

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch.engine.bindings.plant_rows import any_multirotor, lower_rotors
 from rotorwatch.engine.bindings.program import Learned, estimate
-from rotorwatch.engine.estimator.plant import AIR, CURVE, DAMPING, GAIN, PER_AXIS, SHARE
+from rotorwatch.engine.estimator.plant import AIR, DAMPING, GAIN, PER_AXIS, SHARE
 from rotorwatch.engine.motion.tick_table import JUDGE, TICKS_S, Ticks
 
 FLIGHTS_DIFFER = 0.25
@@ -32,8 +32,8 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
         means.append(np.asarray(carry.s)[rows])
         precisions.append(1.0 / np.maximum(np.diag(np.asarray(carry.P))[rows], 1e-12))
         noises.append(np.asarray(carry.variances))
-        # Shape of the thrust curve, effect of the air and, on coaxial frames, the lower rotors' share.
-        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (CURVE, AIR, SHARE)])
+        # Effect of the air and, on coaxial frames, the lower rotors' share.
+        shares.append([(float(carry.s[k]), float(carry.P[k, k])) for k in (AIR, SHARE)])
     if not means:
         return None
     loudest = np.max(noises, axis=0)
@@ -46,9 +46,9 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     open_ = FLIGHTS_DIFFER * np.diag(P0)[rows] / len(means)
     variance = np.minimum(np.diag(P0)[rows], 1.0 / np.sum(precisions, axis=0) + spread + open_)
     P0[rows[:, None], rows] = np.diag(variance)
-    # ... and likewise for the thrust curve, the air and the lower rotors' share.
+    # ... and likewise for the air and the lower rotors' share.
     own = [[float(m), float(v + s)] for (m, v), s in zip(np.mean(shares, axis=0), np.var(shares, axis=0)[:, 0])]
-    known = {"curve": own[0], "air": own[1], **({"share": own[2]} if lower_rotors(B) is not None else {})}
+    known = {"air": own[0], **({"share": own[1]} if lower_rotors(B) is not None else {})}
     return {
         "x0": x0.tolist(), "P0": P0.tolist(), "noise": loudest.tolist(), "noise_weight": LEARNED_WEIGHT,
         "dt": tables[0].dt, **known,
@@ -64,6 +64,6 @@ def dynamics(carry: Learned, B: np.ndarray) -> dict:
     P0[rows], P0[:, rows] = 0.0, 0.0
     P0[rows[:, None], rows] = P[rows[:, None], rows]
     known = {"x0": x0, "P0": P0, "noise": np.asarray(carry.variances), "noise_weight": LEARNED_WEIGHT}
-    also = {"curve": CURVE, "air": AIR, **({"share": SHARE} if lower_rotors(B) is not None else {})}
+    also = {"air": AIR, **({"share": SHARE} if lower_rotors(B) is not None else {})}
     known |= {name: [float(s[k]), float(P[k, k])] for name, k in also.items()}
     return known

@@ -1,7 +1,7 @@
 """The estimator's plant in arrays: its prior for any multirotor, its inputs from ticks, and the lower rotors of coaxial frames.
 
 engine/estimator/plant.py has its equation and its constants. The state is the same: (b1, b2, b3, G, c) of each axis, where for thrust,
-which has no damping, the last one is the side force; then the thrust curve, the air and the lower rotors' share.
+which has no damping, the last one is the side force; then the air and the lower rotors' share.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import prior
-from rotorwatch.engine.estimator.plant import AIR, CURVE, GAIN, PER_AXIS, Plant
+from rotorwatch.engine.estimator.plant import AIR, GAIN, PER_AXIS, Plant
 
 AXES = ("roll", "pitch", "yaw", "thrust")
 AXIS_STATES = 4 * PER_AXIS
@@ -48,19 +48,10 @@ def lower_rotors(B: np.ndarray) -> np.ndarray | None:
     return made["lower"][0, :n].astype(float) if ENGINE.call(prior.lower_rotors, made) else None
 
 
-def any_curve() -> np.ndarray:
-    """(2,) prior mean and variance of the thrust curve's bend."""
-    return _of_state(CURVE)
-
-
 def any_air() -> np.ndarray:
     """(2,) prior mean and variance of the effect of air along the thrust axis."""
-    return _of_state(AIR)
-
-
-def _of_state(state: int) -> np.ndarray:
     mean, P = _prior(1)
-    return np.array([mean[state], P[state, state]])
+    return np.array([mean[AIR], P[AIR, AIR]])
 
 
 def usual_gains(n: int) -> np.ndarray:

@@ -11,11 +11,11 @@ import numpy as np
 from rotorwatch.base.compiling import running
 from rotorwatch.core import Array
 from rotorwatch.engine.bindings.hypothesis_list import Hypotheses
-from rotorwatch.engine.bindings.plant_rows import any_air, any_curve, any_multirotor, lower_rotors, packed
+from rotorwatch.engine.bindings.plant_rows import any_air, any_multirotor, lower_rotors, packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator import announcement, batch, estimator, estimator_sizes, known, noise, plant
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
-from rotorwatch.engine.estimator.plant import AIR, CURVE, SHARE, THETA, Plant, Rows
+from rotorwatch.engine.estimator.plant import AIR, SHARE, THETA, Plant, Rows
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.tick_table import AGAIN, TICKS_S, Ticks
@@ -94,9 +94,9 @@ def parameters(B: np.ndarray, dt: float, dynamics=None) -> dict:
     if dt not in TICKS_S:
         lengths = ", ".join(f"{t:g}" for t in TICKS_S)
         raise ConfigError(f"The default estimator has no ticks of {dt:g} s; it has {lengths}.")
-    curve = np.array((dynamics or {}).get("curve", any_curve()), float)
-    air = np.array((dynamics or {}).get("air", any_air()), float)
-    arrays = {"B": B, "dt": np.array(dt), "curve": curve, "air": air, **coaxial}
+    known = dynamics or {}
+    air = np.array(known["air"] if "air" in known else any_air(), float)
+    arrays = {"B": B, "dt": np.array(dt), "air": air, **coaxial}
     if dynamics:
         return {**arrays, **{k: np.array(dynamics[k], float) for k in ("x0", "P0", "noise", "noise_weight")}}
     mean, P = any_multirotor(B.shape[1])
@@ -117,8 +117,8 @@ def threshold(n: int, dt: float) -> float:
 
 
 def balance(u: np.ndarray, vehicle: running.Rows) -> tuple[np.ndarray, np.ndarray]:
-    """h (T, 4, n_x + n) and drag (T, n): the wrench of a tick is h [x; theta], in yaw less the sum of drag, for a state without a bent
-    curve or another share. u (T, n + 13 or more): inputs, of which `packed` makes the first; vehicle: the plant of `Steps`."""
+    """h (T, 4, n_x + n) and drag (T, n): the wrench of a tick is h [x; theta], in yaw less the sum of drag, for a state without
+    another share. u (T, n + 13 or more): inputs, of which `packed` makes the first; vehicle: the plant of `Steps`."""
     n, count = int(vehicle["rotors"][0]), len(u)
     out, rows = ENGINE.array(Rows, count), np.ascontiguousarray(u[:, : n + 13], float)
     ENGINE.call(known.measure, vehicle, count, rows, out)
@@ -211,8 +211,8 @@ def laid_out(parameters: dict) -> running.Rows:
     """A Plant of `parameters`, not yet completed."""
     B, lower = np.asarray(parameters["B"], float), parameters.get("lower")
     mean, variance = np.zeros(estimator_sizes.PLANT_STATES), np.zeros((estimator_sizes.PLANT_STATES, estimator_sizes.PLANT_STATES))
-    mean[:CURVE], variance[:CURVE, :CURVE] = parameters["x0"], parameters["P0"]
-    more = {CURVE: parameters["curve"], AIR: parameters["air"], **({} if lower is None else {SHARE: parameters["share"]})}
+    mean[:AIR], variance[:AIR, :AIR] = parameters["x0"], parameters["P0"]
+    more = {AIR: parameters["air"], **({} if lower is None else {SHARE: parameters["share"]})}
     for state, (m, v) in more.items():
         mean[state], variance[state, state] = m, v
     made = ENGINE.new(Plant)

@@ -19,7 +19,9 @@ from rotorwatch.engine.estimator.plausibility import Plausible
 from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
 # On surrogates of real noise the statistic's false alarms are as rare as its threshold states. The odds and plausibility tests let at most
-# this share of them pass: none of 6 there, and 1 of 81 with a threshold 4 nats lower.
+# this share of them pass: there none of 6, and 1 of 81 with a threshold 4 nats lower; of healthy flights of the open world, where unknown
+# disturbances pass the threshold far more often, 1 of 12, and 1 of 16 (benchmarks/gates.py). Together 2 of 97 at the lower one:
+# at most 7 %.
 GATES = 0.15
 TICKS = 2  # in a row for which all conditions hold
 EDGE = 0.9  # of the bank's reach

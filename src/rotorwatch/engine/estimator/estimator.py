@@ -18,13 +18,12 @@ from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.kalman import Measured
 from rotorwatch.engine.estimator.model_error import ERROR_TICKS, Memory, Seen, given, shows_air, unknown_damping
 from rotorwatch.engine.estimator.noise import WHITE, Noise
-from rotorwatch.engine.estimator.opposite import TURNING, Opposite
+from rotorwatch.engine.estimator.opposite import PARTS, TURNING, Opposite
 from rotorwatch.engine.estimator.plant import (
     AIR,
     B1,
     B2,
     B3,
-    CURVE,
     LOAD_GAIN,
     PER_AXIS,
     THETA,
@@ -35,7 +34,6 @@ from rotorwatch.engine.estimator.plant import (
     Plant,
     Rows,
     bend,
-    bent_wrench,
     dot,
     entry,
     rows,
@@ -134,7 +132,7 @@ class Estimator(Struct):
             size = SLOTS // LANES
         elif self.stage == MEASURED:
             if first == 0:
-                self.look(p, now, judge, flying)
+                self.look(p, now, flying)
             if lives(self.branches.all[first]):
                 self.branches.all[first].update(p, self.rows, self.measured, self.seen.gain_share)
         elif self.stage == OBSERVED:
@@ -151,9 +149,11 @@ class Estimator(Struct):
         elif self.stage == DECIDED:
             if first == 0:
                 self._decide(p, now, judge, out)
+            elif first <= PARTS:
+                self._suspect(p, now, judge, out, first - 1)
             else:
-                self._choose(p, now, judge, out)
-            size = 2
+                self._choose(p, out)
+            size = PARTS + 2
         elif self.stage == BORN:
             if self.chosen:
                 self.branches.born(p, self.bank, self.evidence, first)
@@ -220,11 +220,15 @@ class Estimator(Struct):
         out.pushed = self.memory.outside(p) > 0.0
         self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
 
-    def _choose(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
-        """Test whether opposite rotors share a loss, and choose the explanations that follow from this tick."""
+    def _suspect(self, p: Plant, now: Inputs, judge: bool, out: Result, part: int) -> None:
+        """Test whether opposite rotors share a loss, a part of it."""
         found = self.evidence
         steady = judge and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
-        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak)
+        self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak, part)
+
+    def _choose(self, p: Plant, out: Result) -> None:
+        """Choose the explanations that follow from this tick."""
+        found = self.evidence
         shared = self.opposite.pair >= 0
         out.best = self.opposite.pair if shared else found.first
         out.announced = self.alarm.alarm or shared or (self.alarm.absorbed and found.asked.weak)
@@ -242,34 +246,26 @@ class Estimator(Struct):
             learns[a] = now.valid[a] and quiet and flying
         self.noise.step(p, self.left, learns, self.trust)
 
-    def look(self, p: Plant, now: Inputs, judge: bool, flying: bool) -> None:
+    def look(self, p: Plant, now: Inputs, flying: bool) -> None:
         """Determine how far to trust this tick's inputs and the model, and build the measurement with its variance R."""
         n = p.rotors
         leader = self.branches.all[0]
         self.usual = max(given(p, now, leader.s) if now.restart else self.memory.collective, LEAST_USUAL)
-        rows(p, now, now.thrust, now.forward, now.right, leader.s, self.usual, self.rows)
-        bends = local(REAL, ROTORS)
-        bent = local(REAL, 4)
+        rows(p, now, now.thrust, now.forward, now.right, leader.s, self.rows)
         lost = local(REAL, 4)
-        bend(p, now, now.thrust, self.usual, bends)
-        bent_wrench(p, bends, bent)
         for a in range(4):
             for i in range(n):
                 lost[a] += self.rows.h[a][THETA + i] * leader.s[THETA + i]
         seen = self.seen
-        self.memory.weigh_inputs(p, now, leader.s, lost, bent, self.noise, flying, seen)
-        # The thrust curve is not observable while something other than the rotors may carry the vehicle near the ground, and beside a
-        # weak rotor a curve error looks like its loss.
-        if not judge or leader.weak(p):
-            seen.curve = 0.0
+        self.memory.weigh_inputs(p, now, leader.s, lost, self.noise, flying, seen)
         seen.gain_share[AIR] = shows_air(now.axial) if flying else 0.0
         m = self.measured
-        self.memory.variance(p, now, seen, leader.s, self.noise, m.R)
+        self.memory.variance(p, now, seen, leader.s, self.usual, self.noise, m.R)
         wrench = now.wrench[THRUST] if now.valid[THRUST] else 0.0
         air = real(n) * now.axial * leader.s[AIR]
-        self.missing.follow(p, now, wrench + bent[THRUST] * leader.s[CURVE] - now.load * leader.s[LOAD_GAIN] - air)
+        self.missing.follow(p, now, wrench - now.load * leader.s[LOAD_GAIN] - air)
 
-        rows(p, now, seen.thrust, seen.forward, seen.right, leader.s, self.usual, self.rows)
+        rows(p, now, seen.thrust, seen.forward, seen.right, leader.s, self.rows)
         dragged = 0.0
         missing_drag = 0.0
         for i in range(n):
@@ -278,14 +274,9 @@ class Estimator(Struct):
         for a in range(4):
             m.y[a] = now.wrench[a] if now.valid[a] else 0.0
             m.counts[a] = now.valid[a] and flying
-            row = self.rows.h[a]
-            m.y[a] -= (1.0 - seen.curve) * row[CURVE] * leader.s[CURVE]
-            row[CURVE] *= seen.curve
             m.R[a] += self.noise.v[WHITE][a]
         m.y[YAW] += dragged
         m.R[YAW] += ERROR_TICKS * missing_drag * missing_drag
-        m.least = -now.expo / max(now.expo_sd, 1e-9)
-        m.most = (1.0 - now.expo) / max(now.expo_sd, 1e-9)
         self.unsure = self.memory.unsure()
         for a in range(4):  # the residual for the noise includes the biases
             x = a * PER_AXIS
@@ -337,7 +328,7 @@ class Estimator(Struct):
             if leader.active[i]:
                 bent = (1.0 - out.theta[i]) * bends[i] / more[i]
                 variance += self.unsure * leader.P[entry(THETA + i, THETA + i)]
-                variance += bent * bent * leader.P[entry(CURVE, CURVE)]
+                variance += bent * bent
             out.theta_sd[i] = sqrt(max(variance, 0.0))
             out.gives[i] = leader.gives[i] if leader.active[i] else 0.0
         for a in range(4):

@@ -13,7 +13,7 @@ what came before: where it does not, a free wrench, alone or beside the loss, ha
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Flags, Real, Reals, Struct, array, exp, local, log
+from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, copy, exp, local, log
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.batch import take
 from rotorwatch.engine.estimator.estimator import Estimator
@@ -52,10 +52,21 @@ class Explanation(Struct):
 
 
 def explain(
-    p: Plant, e: Estimator, variances: Reals, count: int, u: Reals, y: Reals, valid: Flags, onset: int, many: int, them: list[Explanation]
+    p: Plant,
+    e: Estimator,
+    variances: Reals,
+    count: int,
+    u: Reals,
+    y: Reals,
+    valid: Flags,
+    onset: int,
+    many: int,
+    them: list[Explanation],
+    others: list[Branch],
 ) -> None:
-    """Compare `many` explanations, at most PLACES, over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y,
-    valid: as in `batch.run`; onset: a tick. The first explanation's state decides how far inputs are trusted; its end is that of all."""
+    """Compare `many` explanations over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y, valid: as in
+    `batch.run`; onset: a tick; others: filters of all but the first, which is the filter of all until the onset. The first explanation's
+    state decides how far inputs are trusted; its end is that of all."""
     n = p.rotors
     now = Inputs()
     set_plant(p)
@@ -63,20 +74,25 @@ def explain(
     for c in range(4):
         for a in range(4):
             e.noise.v[c][a] = variances[4 * c + a]
+    e.branches.all[0].weight = 0.0
     for k in range(many):
-        e.branches.all[k].begin(p)
-        e.branches.all[k].weight = 0.0
         them[k].fit = 0.0
         for a in range(4):
             them[k].square[a] = 0.0
     judged = 0.0
     wrench = local(REAL, 4)
-    counts = local(FLAG, 4)
     settles = max(int(SETTLES_S / p.dt), 1)
     begin = onset + settles
     over = them[0].end
     for t in range(count):
         first = t * (n + 15)
+        if t == onset:
+            for k in range(1, many):
+                copy(others[k - 1], e.branches.all[0])
+            for k in range(many):
+                for i in range(n):
+                    them[k].thrust[i] = now.thrust[i]
+        differing = many if t >= onset else 1
         take(p, u, first, now)
         now.mode = JUDGE
         now.restart = t == 0
@@ -84,48 +100,63 @@ def explain(
             now.wrench[a] = y[4 * t + a]
             now.valid[a] = valid[4 * t + a]
         again = t > 0 and u[first + n + 14] > 0.5
-        for k in range(many):
-            if again:
-                e.branches.all[k].open(p)
-            _change(p, e.branches.all[k], them[k], t, begin)
-            e.branches.all[k].predict(p, e.noise, 1.0, True)
-            if t >= onset and t < them[k].end and them[k].grows > 0.0:
-                for i in range(n):
-                    if (them[k].rotors & (1 << i)) != 0:
-                        e.branches.all[k].P[entry(THETA + i, THETA + i)] += them[k].grows * them[k].grows * p.dt
-            if t >= onset:
-                _stir(p, e.branches.all[k], e.noise, them[k].force * them[k].force - 1.0, them[k].drift)
-        e.look(p, now, True, True)
+        _predict(p, e.branches.all[0], them[0], e.noise, again, t, onset, begin)
+        for k in range(1, differing):
+            _predict(p, others[k - 1], them[k], e.noise, again, t, onset, begin)
+        e.look(p, now, True)
         for a in range(4):
             wrench[a] = e.measured.y[a]
-            counts[a] = e.measured.counts[a] and (t < onset or t >= begin) and (t < over or t >= over + settles)
-        for k in range(many):
-            one = e.branches.all[k]
+            known = (t < onset or t >= begin) and (t < over or t >= over + settles)
+            e.measured.counts[a] = e.measured.counts[a] and known
+        _update(p, e, e.branches.all[0], them[0], now, t >= onset, t >= begin)
+        for k in range(1, differing):
             for a in range(4):
                 e.measured.y[a] = wrench[a]
-                e.measured.counts[a] = counts[a]
-            _lag(p, them[k], now, t >= onset, e.measured)
-            if t >= onset and them[k].load > 0.0:
-                _weigh(p, one, them[k], now, e.measured)
-            if t >= onset and them[k].lever > 0.0:
-                _lever(one, them[k], now, e.measured)
-            if them[k].turned > 0.0 and t >= begin:
-                _yaws(p, them[k], e.rows, e.measured, one, e.seen.gain_share)
-            else:
-                one.update(p, e.rows, e.measured, e.seen.gain_share)
-            if t >= onset:
-                for a in range(4):
-                    if counts[a]:
-                        away = one.innovation[a] * one.innovation[a] / one.S[a]
-                        them[k].fit -= 0.5 * (log(one.S[a]) + away)
-                        them[k].square[a] += away
+            _update(p, e, others[k - 1], them[k], now, True, t >= begin)
         if t >= onset:
             judged += 1.0
     for k in range(many):
         for a in range(4):
             them[k].square[a] /= max(judged, 1.0)
+    if them[0].end >= count:
+        _read(p, e.branches.all[0], them[0])
+    for k in range(1, many):
         if them[k].end >= count:
-            _read(p, e.branches.all[k], them[k])
+            _read(p, others[k - 1], them[k])
+
+
+def _predict(p: Plant, one: Branch, how: Explanation, noise: Noise, again: bool, t: int, onset: int, begin: int) -> None:
+    """Predict an explanation's filter by one tick. again: after a contact; begin: from this tick on the change counts."""
+    if again:
+        one.open(p)
+    _change(p, one, how, t, begin)
+    one.predict(p, noise, 1.0, True)
+    if t >= onset and t < how.end and how.grows > 0.0:
+        for i in range(p.rotors):
+            if (how.rotors & (1 << i)) != 0:
+                one.P[entry(THETA + i, THETA + i)] += how.grows * how.grows * p.dt
+    if t >= onset:
+        _stir(p, one, noise, how.force * how.force - 1.0, how.drift)
+
+
+def _update(p: Plant, e: Estimator, one: Branch, how: Explanation, now: Inputs, changed: bool, settled: bool) -> None:
+    """Update an explanation's filter with the tick that `e` measures, from the onset on (`changed`) by what it holds, and its evidence."""
+    m = e.measured
+    if changed:
+        _lag(p, how, now, m)
+        if how.load > 0.0:
+            _weigh(p, one, how, now, m)
+        if how.lever > 0.0:
+            _lever(one, how, now, m)
+    if how.turned > 0.0 and settled:
+        _yaws(p, how, e.rows, m, one, e.seen.gain_share)
+    else:
+        one.update(p, e.rows, m, e.seen.gain_share)
+    for a in range(4):
+        if changed and m.counts[a]:
+            away = one.innovation[a] * one.innovation[a] / one.S[a]
+            how.fit -= 0.5 * (log(one.S[a]) + away)
+            how.square[a] += away
 
 
 def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None:
@@ -160,16 +191,16 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
             one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
 
 
-def _lag(p: Plant, how: Explanation, now: Inputs, lags: bool, m: Measured) -> None:
+def _lag(p: Plant, how: Explanation, now: Inputs, m: Measured) -> None:
     """Take from the commanded wrench what rotors that lag do not give yet, and what is beyond a cap."""
     for i in range(p.rotors):
-        if (how.rotors & (1 << i)) != 0 and how.cap > 0.0 and lags:
+        if (how.rotors & (1 << i)) != 0 and how.cap > 0.0:
             for a in range(4):
                 if m.counts[a]:
                     m.y[a] -= p.effect[a][i] * max(now.thrust[i] - how.cap, 0.0)
         if (how.rotors & (1 << i)) == 0 or how.late <= 0.0:
             continue
-        follows = 1.0 - exp(-p.dt / how.late) if lags and now.valid[0] else 1.0
+        follows = 1.0 - exp(-p.dt / how.late) if now.valid[0] else 1.0
         how.thrust[i] += follows * (now.thrust[i] - how.thrust[i])
         for a in range(4):
             if m.counts[a]:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, copy, local, real, sqrt
 from rotorwatch.engine.estimator.estimator_sizes import PRODUCTS, ROTORS, STATES
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, CURVE, PER_AXIS, SIDEWAYS, THETA, Plant, Rows, entry
+from rotorwatch.engine.estimator.plant import AIR, B1, B2, B3, BUILT_SD, PER_AXIS, SIDEWAYS, THETA, Plant, Rows, entry
 
 # A loss is not fixed while it still moves: while it differs from its mean over MOVING_S by more than its standard deviation.
 MOVING_S = 2.0
@@ -29,8 +29,6 @@ class Measured(Struct):
     y = array(REAL, 4)
     R = array(REAL, 4)  # variance of its noise
     counts = array(FLAG, 4)  # the axis is valid
-    least: Real = 0.0  # bounds of the state of the thrust curve
-    most: Real = 0.0
 
 
 class Branch(Struct):
@@ -169,9 +167,9 @@ class Branch(Struct):
             return
         for r in range(states):
             K[r] = Ph[r] / S * gain_share[r]
-        # The curve and air states stay within their physical bounds; the bank sees this through the gain.
-        K[CURVE] = _within(self.s[CURVE], K[CURVE], nu, m.least, m.most)
-        K[AIR] = _within(self.s[AIR], K[AIR], nu, 0.0, 1e30)
+        # Air takes thrust, it gives none; the bank sees this through the gain.
+        if self.s[AIR] + K[AIR] * nu < 0.0:
+            K[AIR] = -self.s[AIR] / nu
         for r in range(states):
             self.s[r] += K[r] * nu
             g[r] = Ph[r] - 0.5 * S * K[r]
@@ -181,13 +179,6 @@ class Branch(Struct):
             half = g[r]
             for c in range(r + 1):
                 self.P[at + c] -= mine * g[c] + half * K[c]
-
-
-def _within(state: Real, gain: Real, nu: Real, least: Real, most: Real) -> Real:
-    """Gain with which the update leaves a state within its bounds."""
-    if abs(nu) <= 1e-9:
-        return 0.0
-    return (min(max(state + gain * nu, least), most) - state) / nu
 
 
 def swap(a: Branch, b: Branch, room: Branch) -> None:

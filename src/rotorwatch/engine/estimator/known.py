@@ -9,8 +9,6 @@ from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import WHITE, Noise
 from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, YAW, Inputs, Plant, Rows, dot, entry, rows
 
-NO_BOUND = 1e30
-
 
 def measure(p: Plant, count: int, u: Reals, out: list[Rows]) -> None:
     """Measurement rows of `count` ticks for a state of zeros and hover as mean thrust. u: as in `batch.run`, without the last two numbers
@@ -19,7 +17,7 @@ def measure(p: Plant, count: int, u: Reals, out: list[Rows]) -> None:
     none = local(REAL, STATES)
     for t in range(count):
         take(p, u, t * (p.rotors + 13), now)
-        rows(p, now, now.thrust, now.forward, now.right, none, 1.0, out[t])
+        rows(p, now, now.thrust, now.forward, now.right, none, out[t])
 
 
 def learn(p: Plant, count: int, u: Reals, y: Reals, valid: Flags, flying: Flags, noise: Noise) -> None:
@@ -31,8 +29,6 @@ def learn(p: Plant, count: int, u: Reals, y: Reals, valid: Flags, flying: Flags,
     b = Branch()
     b.begin(p)
     noise.begin(p)
-    m.least = -NO_BOUND
-    m.most = NO_BOUND
     share = local(REAL, STATES)
     left = local(REAL, 4)
     trust = local(REAL, 4)
@@ -45,7 +41,7 @@ def learn(p: Plant, count: int, u: Reals, y: Reals, valid: Flags, flying: Flags,
     for t in range(count):
         take(p, u, t * (p.rotors + 13), now)
         b.predict(p, noise, 1.0, flying[t])
-        rows(p, now, now.thrust, now.forward, now.right, b.s, 1.0, h)
+        rows(p, now, now.thrust, now.forward, now.right, b.s, h)
         for a in range(4):
             m.y[a] = y[4 * t + a]
             m.counts[a] = valid[4 * t + a]

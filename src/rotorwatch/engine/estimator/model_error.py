@@ -30,6 +30,7 @@ from rotorwatch.engine.estimator.plant import (
     USUAL_S,
     Inputs,
     Plant,
+    bend,
 )
 
 GARROTE = 2.5  # times its calm level (as amplitude) that motion must exceed to stand out
@@ -65,7 +66,6 @@ class Seen(Struct):
     forward: Real = 0.0  # side force without noise
     right: Real = 0.0
     gain_share = array(REAL, STATES)  # share of the Kalman gain that each state gets
-    curve: Real = 0.0  # how well this tick's commands show the thrust curve, 0 to 1
     far: Real = 0.0  # distance from hover beyond FAR, hover thrusts
     part = array(REAL, ROTORS)  # commanded thrust above the mean of all
     trim = array(REAL, ROTORS)  # its mean over USUAL_S
@@ -76,7 +76,6 @@ class Memory(Struct):
 
     turn_level = array(REAL, 3)  # calm variance of angular accelerations
     rate_level = array(REAL, 3)  # calm variance of angular rates
-    bent_level: Real = 0.0  # calm square of the thrust curve's effect on the wrench
     thrust = array(REAL, ROTORS)  # each rotor's thrust minus the mean of all, averaged over ANSWER_S
     thrust_level = array(REAL, ROTORS)  # its calm variance
     trim = array(REAL, ROTORS)  # the same as thrust, averaged over USUAL_S
@@ -103,34 +102,30 @@ class Memory(Struct):
         for a in range(4):
             self.burst[a] = 1.0
             self.lasting[a] = 1.0
-        self.bent_level = CALM_THRUST
 
-    def weigh_inputs(self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, flying: bool, seen: Seen) -> None:
-        """Weigh one tick's inputs against the running statistics. s: state; lost (4,): part of the wrench that the known losses take; bent
-        (4,): change of the wrench by one standard deviation of the thrust curve."""
+    def weigh_inputs(self, p: Plant, now: Inputs, s: Reals, lost: Reals, noise: Noise, flying: bool, seen: Seen) -> None:
+        """Weigh one tick's inputs against the running statistics. s: state; lost (4,): part of the wrench that the known losses
+        take."""
         n = p.rotors
         # A tick without commands (a gap in the log, an interrupted link) does not change the statistics.
         past = p.dt if now.valid[0] else 0.0
         fade = past / LEVEL_MEMORY_S if flying else 0.0
         for r in range(THETA + n):
             seen.gain_share[r] = 1.0
-        self._motion(p, now, s, lost, bent, noise, fade, seen)
+        self._motion(p, now, s, lost, noise, fade, seen)
         self._thrusts(p, now, past, 0.0 if now.restart else fade, seen)
         self._side_force(now, past, 0.0 if now.restart else fade, seen)
-        # Punch-outs, drops and knocks: far from hover the thrust curve and the lag are uncertain.
+        # Punch-outs, drops and knocks: far from hover the lag is uncertain.
         collective = given(p, now, s)
         usual = collective if now.restart else self.collective
         seen.far = max(abs(collective - usual) - FAR, 0.0) + max(abs(now.load / real(n) - 1.0) - FAR, 0.0)
-        seen.curve *= max(0.0, 1.0 - seen.far / FAR)
         self.collective = usual + (collective - usual) * (past / USUAL_S)
         for a in range(4):
             if now.restart:
                 self.burst[a] = 1.0
                 self.innovation_mean[a] = 0.0
 
-    def _motion(self, p: Plant, now: Inputs, s: Reals, lost: Reals, bent: Reals, noise: Noise, fade: Real, seen: Seen) -> None:
-        made_need = 0.0
-        made_made = 0.0
+    def _motion(self, p: Plant, now: Inputs, s: Reals, lost: Reals, noise: Noise, fade: Real, seen: Seen) -> None:
         for a in range(3):
             turn = now.turn[a] * now.turn[a]
             rate = now.rate[a] * now.rate[a]
@@ -150,20 +145,10 @@ class Memory(Struct):
             need = turn_needs + rate_needs
             made = (now.wrench[a] if now.valid[a] else 0.0) - lost[a] - (s[x + B1] + s[x + B2] + s[x + B3])
             share = min(max(made * need / max(need * need, 1e-12), 0.0), 1.0)
-            made_need += made * need
-            made_made += made * made
             seen.gain_share[x + GAIN] = turns * share
             seen.gain_share[x + DAMPING] = rates * share
             self.turn_level[a] += fade * (min(turn, MOST * self.turn_level[a]) - self.turn_level[a])
             self.rate_level[a] += fade * (min(rate, MOST * self.rate_level[a]) - self.rate_level[a])
-        # The thrust curve is observable where commands leave their usual values and the vehicle moves accordingly. Commands that merely
-        # counteract gusts cause no motion, from which the filter would learn that commands have no effect.
-        bend = 0.0
-        for a in range(4):
-            bend += bent[a] * bent[a]
-        seen.curve = min(max(made_need / max(made_made, 1e-12), 0.0), 1.0) * stands_out(self.bent_level, bend)
-        if not now.restart:
-            self.bent_level += fade * (min(bend, MOST * self.bent_level) - self.bent_level)
 
     def _thrusts(self, p: Plant, now: Inputs, past: Real, fade: Real, seen: Seen) -> None:
         """Remove each rotor's jitter from its commanded thrust. A loss is proportional to the rotor's thrust, but a disturbance that the
@@ -204,9 +189,11 @@ class Memory(Struct):
             self.push[k] = push
             self.usual_push[k] += (push - self.usual_push[k]) * (1.0 if now.restart else past / USUAL_S)
 
-    def variance(self, p: Plant, now: Inputs, seen: Seen, s: Reals, noise: Noise, out: Reals) -> None:
-        """Variance (4,) of the model's error at this tick, into out; store the wrench for the next tick."""
+    def variance(self, p: Plant, now: Inputs, seen: Seen, s: Reals, usual: Real, noise: Noise, out: Reals) -> None:
+        """Variance (4,) of the model's error at this tick, into out; store the wrench for the next tick. usual: recent mean thrust."""
         n = p.rotors
+        bends = local(REAL, ROTORS)
+        bend(p, now, seen.thrust, usual, bends)
         square = local(REAL, ROTORS)
         for i in range(n):
             missing = seen.thrust[i] - BELOW_LIMIT * now.full if seen.thrust[i] > AT_LIMIT * now.full else 0.0
@@ -221,9 +208,11 @@ class Memory(Struct):
             wrench = now.wrench[a] if now.valid[a] else 0.0
             late = LAG_ERROR_S / p.dt * max(abs(wrench - self.wrench[a]) - 4.0 * sqrt(noise.v[WHITE][a]), 0.0)
             total = gained * gained + damped * damped + far * far + air * air + late * late
+            bent = 0.0
             for i in range(n):
                 total += p.effect[a][i] * p.effect[a][i] * square[i]
-            out[a] = ERROR_TICKS * total
+                bent += p.effect[a][i] * bends[i]
+            out[a] = ERROR_TICKS * total + bent * bent
             if now.valid[a]:
                 self.wrench[a] = now.wrench[a]
 

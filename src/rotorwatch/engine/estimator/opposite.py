@@ -23,6 +23,7 @@ from rotorwatch.engine.estimator.plausibility import Missing, torque_free
 # Yaw rate [rad/s] above which yaw drag is too uncertain for the test; deviation of the load factor from 1, beyond the reduction by the loss
 # itself (a loss never lifts a vehicle).
 TURNING, HEAVING = 0.15, 0.2
+PARTS = 4  # of the bank, one after the other: no piece of a tick takes long
 LEAST_ROTORS = 6  # yaw distinguishes the pairs of a quadrotor, so the fault hypotheses suffice there
 
 
@@ -33,18 +34,24 @@ class Opposite(Struct):
     pair: int = -1  # its hypothesis at the tick that confirms it, else -1
     onset: Real = 0.0  # ticks ago
     loss: Real = 0.0  # of each of its rotors
+    # Of this tick's likeliest pair so far: its evidence in nats, its hypothesis, -1 without one, ticks since its onset.
+    best: Real = 0.0
+    likeliest: int = -1
+    age: Real = 0.0
+    before: Real = 0.0  # `lasted` at the tick before
 
-    def suspect(self, p: Plant, bank: Bank, found: Evidence, missing: Missing, alarm: Alarm, calm: bool) -> None:
-        """Test one tick; confirm a pair that is suspected for ANSWER_S. calm: steady flight without turns, announcements or weak rotors."""
-        before = self.lasted
-        self.lasted = 0.0
-        self.pair = -1
+    def suspect(self, p: Plant, bank: Bank, found: Evidence, missing: Missing, alarm: Alarm, calm: bool, part: int) -> None:
+        """Test one tick, in PARTS; confirm a pair that is suspected for ANSWER_S. calm: steady flight without turns, announcements or weak
+        rotors."""
+        if part == 0:
+            self.before = self.lasted
+            self.lasted = 0.0
+            self.pair = -1
+            self.best = alarm.limit
+            self.likeliest = -1
         if not calm or p.rotors < LEAST_ROTORS:
             return
-        best = alarm.limit
-        pair = -1
-        age = 0.0
-        for k in range(SLOTS // LANES):
+        for k in range(part * (SLOTS // LANES) // PARTS, (part + 1) * (SLOTS // LANES) // PARTS):
             pack = bank.packs[k]
             if pack.gradual or not pack.used():
                 continue
@@ -56,27 +63,27 @@ class Opposite(Struct):
                 for i in range(p.rotors):
                     for j in range(i + 1, p.rotors):
                         # Weights are at most 1, so nats alone exclude most pairs.
-                        if torque_free(p, i, j) and _nats(found.window, lane, i, j, LOSS_WIDTH) > best:
+                        if torque_free(p, i, j) and _nats(found.window, lane, i, j, LOSS_WIDTH) > self.best:
                             loss = _shared(found.window, lane, i, j, LOSS_WIDTH)
                             factor = either(_fit(found.window, lane, i, j, SMALL_WIDTH), _fit(found.window, lane, i, j, LOSS_WIDTH)) - log(
                                 2.0
                             )
-                            if loss > NONE and factor > best:
-                                best = factor
-                                pair = h
-                                age = one(pack.age, lane)
+                            if loss > NONE and factor > self.best:
+                                self.best = factor
+                                self.likeliest = h
+                                self.age = one(pack.age, lane)
                                 self.loss = loss
                         h += 1
-        if pair < 0:
+        if part < PARTS - 1 or self.likeliest < 0:
             return
-        forgotten = exp(age * p.dt / USUAL_S)  # decay of the heave statistics since the onset
+        forgotten = exp(self.age * p.dt / USUAL_S)  # decay of the heave statistics since the onset
         steady = missing.heave * forgotten < HEAVING + 2.0 * self.loss / real(p.rotors) and missing.rose * forgotten < HEAVING
         disturbed = max(found.disturbed(p, False) - 2.0 * CLEAR, found.disturbed(p, True))
-        if steady and best > disturbed:
-            self.lasted = before + p.dt
-            if self.lasted >= ANSWER_S and before < ANSWER_S:
-                self.pair = pair
-                self.onset = age + 1.0
+        if steady and self.best > disturbed:
+            self.lasted = self.before + p.dt
+            if self.lasted >= ANSWER_S and self.before < ANSWER_S:
+                self.pair = self.likeliest
+                self.onset = self.age + 1.0
 
 
 def contested(p: Plant, h: int) -> bool:

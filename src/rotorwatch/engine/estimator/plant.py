@@ -8,22 +8,22 @@ y = B T: commanded wrench; T: commanded thrusts; m: angular acceleration [rad/s^
 [rad/s]; f: side force per mass [m/s^2], -right for roll and forward for pitch; v: speed along the thrust axis [m/s]; b1, b2: coloured
 disturbances with time constants TAU; b3: a drift; d_i, for yaw: torque by the drag of rotor i in a side force (Martin and Salaun, ICRA
 2010); theta_i: loss of rotor i. On coaxial frames the lower rotors of all arms give a share s more than in B: y_a - ... - s (dB/ds T)_a,
-with B kept such that hover takes the same command. The curvature of the thrust curve is a state as well.
+with B kept such that hover takes the same command. An error of the thrust curve is noise (model_error.py).
 
-The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no damping, holds l in its last place; then CURVE, AIR (k), SHARE
+The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no damping, holds l in its last place; then AIR (k) and SHARE
 (s). After it come the losses theta, from THETA on. The row of an axis is zero except in the axis' own states and from SIDEWAYS on.
 """
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, local, real, sqrt
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, real, sqrt
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.estimator_sizes import PLANT_STATES, ROTORS, STATES
 from rotorwatch.engine.intake.craft import PITCH, ROLL, THRUST, YAW
 
 PER_AXIS = 5
 B1, B2, B3, GAIN, DAMPING = 0, 1, 2, 3, 4
-SIDEWAYS, CURVE, AIR, SHARE, THETA = 19, 20, 21, 22, 23
+SIDEWAYS, AIR, SHARE, THETA = 19, 20, 21, 22
 YAW_GAIN, LOAD_GAIN = 13, 18
 
 TAU = (0.25, 1.0)  # s
@@ -143,14 +143,6 @@ def bend(p: Plant, now: Inputs, thrust: Reals, usual: Real, out: Reals) -> None:
         out[i] = now.expo_sd * full * (own - thrust[i] / usual * usually)
 
 
-def bent_wrench(p: Plant, bends: Reals, out: Reals) -> None:
-    """Wrench (4,) of the rotors' `bend`."""
-    for a in range(4):
-        out[a] = 0.0
-        for i in range(p.rotors):
-            out[a] += p.effect[a][i] * bends[i]
-
-
 def drag(p: Plant, thrust: Reals, forward: Real, right: Real, out: Reals) -> None:
     """Yaw torque by each rotor's in-plane drag; their sum is yaw that a healthy vehicle need not be commanded. forward, right: side force,
     m/s^2."""
@@ -158,12 +150,9 @@ def drag(p: Plant, thrust: Reals, forward: Real, right: Real, out: Reals) -> Non
         out[i] = sqrt(max(thrust[i], 0.0)) * (p.along[i] * forward + p.across[i] * right)
 
 
-def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Reals, usual: Real, out: Rows) -> None:
-    """Measurement matrix of a tick for commands `thrust` and a side force [m/s^2]. s: state, source of the thrust curve and the lower
-    rotors' share; usual: recent mean thrust, about which the curve bends."""
+def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Reals, out: Rows) -> None:
+    """Measurement matrix of a tick for commands `thrust` and a side force [m/s^2]. s: state, source of the lower rotors' share."""
     n = p.rotors
-    bends = local(REAL, ROTORS)
-    bend(p, now, thrust, usual, bends)
     drag(p, thrust, forward, right, out.drag)
     for a in range(4):
         row = out.h[a]
@@ -177,11 +166,9 @@ def rows(p: Plant, now: Inputs, thrust: Reals, forward: Real, right: Real, s: Re
         if a < THRUST:
             row[first + DAMPING] = now.rate[a]
         for i in range(n):
-            row[CURVE] -= p.effect[a][i] * bends[i]
             row[SHARE] -= p.effect[a][i] * p.more[i] * thrust[i]
-            given = max(thrust[i] + s[CURVE] * bends[i], 0.0)
             turned = out.drag[i] if a == YAW else 0.0
-            row[THETA + i] = (p.effect[a][i] * given + turned) * (1.0 + s[SHARE] * p.more[i])
+            row[THETA + i] = (p.effect[a][i] * thrust[i] + turned) * (1.0 + s[SHARE] * p.more[i])
     out.h[ROLL][SIDEWAYS] = -right
     out.h[PITCH][SIDEWAYS] = forward
     out.h[THRUST][AIR] = real(n) * now.axial

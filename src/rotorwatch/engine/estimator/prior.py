@@ -9,7 +9,6 @@ from rotorwatch.engine.estimator.plant import (
     AIR,
     B3,
     BIAS_SD,
-    CURVE,
     DAMPING,
     DAMPING_RATE,
     DAMPING_RATE_SD,
@@ -57,7 +56,6 @@ def any_multirotor(p: Plant) -> None:
         p.variance[first + DAMPING][first + DAMPING] = (rate * sd) * (rate * sd) + rate_sd * rate_sd * (gain * gain + sd * sd)
     p.mean[SIDEWAYS] = n * SIDE
     p.variance[SIDEWAYS][SIDEWAYS] = (n * SIDE_SD) * (n * SIDE_SD)
-    p.variance[CURVE][CURVE] = 1.0
     p.mean[AIR] = INFLOW
     p.variance[AIR][AIR] = INFLOW_SD * INFLOW_SD
 

@@ -8,5 +8,6 @@ events.py     losses, overrides and contacts merged
 changes.py    changes since the last evaluation
 words.py      text of an event for the pilot
 texts.py      selection and timing of the texts
+reliance.py   effectiveness that control may rely on, rotors to leave out
 calls.py      many samples or ticks in one call
 """

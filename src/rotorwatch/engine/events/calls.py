@@ -224,7 +224,7 @@ def changes(
     c: Changes, found: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
 ) -> int:
     """Write the changes of the events since the last call into `out`; return their number."""
-    return c.look(found, count, final, refined, every, withdrawn, out)
+    return c.look(found, count, LASTS, final, refined, every, withdrawn, out)
 
 
 def in_words(found: list[Event], withdrawn: bool, what: str, w: Words) -> int:

@@ -11,12 +11,14 @@ ANNOUNCED, CHANGED, WITHDRAWN = 0, 1, 2
 
 LOSS_STEP = 0.02  # least change of a loss or of its bounds that is reported
 GIVES_STEP = 0.1  # hover thrusts, least change of a stuck rotor's thrust that is reported
+HOLD_S = 5.0  # for which an event must be missing to be withdrawn: its interval may include 0, and not a second later
 
 
 class Known(Struct):
     """An event as it was last reported. number: identifies the event, from 1, for as long as it is remembered."""
 
     event = embedded(Event)
+    missing: Time = LASTS  # s, since when it has not been in the list; LASTS: it is
     number: int = 0
 
 
@@ -37,18 +39,20 @@ class Changes(Struct):
     count: Small = 0
 
     def look(
-        self, events: list[Event], count: int, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
+        self, events: list[Event], count: int, now: Time, final: Time, refined: int, every: bool, withdrawn: list[Event], out: list[Change]
     ) -> int:
         """Compare the current events with the reported ones; write the changes into out [2 EVENTS] and return their number.
 
-        final: time in s before which nothing is withdrawn: a missing event that ended earlier was only forgotten. refined: kind of events
-        whose rotors, like those of losses, may be revised. every: list every known event, even without a significant change.
-        withdrawn [EVENTS]: filled with the withdrawn events.
+        now: time in s, by which an event must have been missing for HOLD_S to be withdrawn; LASTS: at once. final: time in s before which
+        nothing is withdrawn: a missing event that ended earlier was only forgotten. refined: kind of events whose rotors, like those of
+        losses, may be revised. every: list every known event, even without a significant change. withdrawn [EVENTS]: filled with the
+        withdrawn events.
         """
         known_of = local(INT, EVENTS)  # index of the reported event, -1 if new
         event_of = local(INT, EVENTS)
         found = 0
         left = 0
+        fresh = False
         withdrawn_count = 0
         for i in range(EVENTS):
             known_of[i] = -1
@@ -67,9 +71,17 @@ class Changes(Struct):
                         if same:
                             known_of[i] = j
                             event_of[j] = i
+        for i in range(count):
+            fresh = fresh or known_of[i] < 0
         for j in range(self.count):
             if event_of[j] >= 0:
                 known_of[event_of[j]] = left
+                if left != j:
+                    copy(self.known[left], self.known[j])
+                self.known[left].missing = LASTS
+                left += 1
+            elif not fresh and now < LASTS and now - min(self.known[j].missing, now) < HOLD_S:  # a new event would be what it was
+                self.known[j].missing = min(self.known[j].missing, now)
                 if left != j:
                     copy(self.known[left], self.known[j])
                 left += 1
@@ -88,6 +100,7 @@ class Changes(Struct):
                 self.count += 1
                 self.numbers += 1
                 self.known[known_of[i]].number = self.numbers
+                self.known[known_of[i]].missing = LASTS
             place = known_of[i]
             if fresh or every or _differs(self.known[place].event, events[i]):
                 copy(self.known[place].event, events[i])

@@ -1,6 +1,7 @@
 """Selects the texts for the pilot and their timing: few texts, each with new information.
 
-An event is reported once, again when it has changed significantly, and once more when it is over or withdrawn. Texts are at least EVERY_S
+An event is reported once, again when it has changed significantly, and once more when it is withdrawn or has been over for OVER_S: a loss
+that seems to end in a manoeuvre shows again in the next one. Texts are at least EVERY_S
 apart; an event that changes in the meantime is reported in its latest state, and the most severe event is reported first. Events that are
 over or withdrawn before they were reported are skipped. Repeated reports of an intermittent rotor or a changing loss come at increasing
 intervals, unless it has become more severe.
@@ -12,9 +13,10 @@ from rotorwatch.base.compiling.structs import LASTS, REAL, TIME, Real, Small, St
 from rotorwatch.engine.events.changes import Known
 from rotorwatch.engine.events.events import CONTACT, LOSS, Event
 from rotorwatch.engine.events.words import INFO, severity
-from rotorwatch.engine.intake.sizes import EVENTS, ROTORS, TOGETHER
+from rotorwatch.engine.intake.sizes import ROTORS, TOGETHER, TOLD_EVENTS
 
 EVERY_S = 5.0  # least time between two texts
+OVER_S = 20.0  # since the end of an event, until it is reported as over
 MOVED = 0.05  # least change of a loss of effectiveness for a new report
 GIVES = 0.2  # least relative change of a stuck rotor's thrust for a new report
 AGAIN_S = 10.0  # time between two reports on one rotor; it doubles each time, up to AGAIN_MOST_S
@@ -39,7 +41,7 @@ class Told(Struct):
 class Texts(Struct):
     """Tracks the reports of all events."""
 
-    told = array(Told, EVENTS + 4)
+    told = array(Told, TOLD_EVENTS)
     last: Time = -LASTS  # s, when the last text was sent
     # For each rotor, and for events without a rotor: time of the last report, waiting time after it, and its severity.
     since = array(TIME, ROTORS + 1)
@@ -48,11 +50,11 @@ class Texts(Struct):
 
     def look(self, known: list[Known], count: int) -> None:
         """Take over the current events."""
-        for i in range(EVENTS + 4):
+        for i in range(TOLD_EVENTS):
             self.told[i].present = False
         for k in range(count):
             place = -1
-            for i in range(EVENTS + 4):
+            for i in range(TOLD_EVENTS):
                 if self.told[i].number == known[k].number:
                     place = i
             if place < 0:
@@ -64,7 +66,7 @@ class Texts(Struct):
             if self.told[place].over and not _over(known[k].event):  # its end was reported, yet it continues: treat it as a new event
                 self.told[place].over = False
                 self.told[place].severity = 0
-        for i in range(EVENTS + 4):
+        for i in range(TOLD_EVENTS):
             gone = not self.told[i].present
             if gone and (self.told[i].severity == 0 or self.told[i].over or self.told[i].event.end < LASTS):
                 self.told[i].number = 0  # no report needs to be withdrawn
@@ -75,7 +77,7 @@ class Texts(Struct):
             return -1
         best = -1
         least = 0
-        for i in range(EVENTS + 4):
+        for i in range(TOLD_EVENTS):
             if self.told[i].number != 0:
                 grave = self._new(self.told[i], now, most)
                 if grave > 0 and (best < 0 or grave < least):
@@ -110,7 +112,8 @@ class Texts(Struct):
     def _new(self, t: Told, now: Time, most: int) -> int:
         """Severity of a report that is due for t; 0 if there is nothing new or it has to wait."""
         grave = _severity(t)
-        if t.severity > 0 and (not t.present or (_over(t.event) and not t.over)):
+        over = _over(t.event) and not t.over and now - t.event.end >= OVER_S and not self._again(t)
+        if t.severity > 0 and (not t.present or over):
             return grave
         if grave > most or not t.present or _over(t.event):
             return 0
@@ -123,10 +126,18 @@ class Texts(Struct):
                     return 0
         return grave
 
+    def _again(self, t: Told) -> bool:
+        """Whether a rotor of this event is weak again."""
+        for i in range(TOLD_EVENTS):
+            later = self.told[i].number > t.number and self.told[i].present and not _over(self.told[i].event)
+            if later and (self.told[i].event.rotors & t.event.rotors) != 0:
+                return True
+        return False
+
     def _free(self) -> int:
         """Index of a free place, else that of the oldest event."""
         place = 0
-        for i in range(EVENTS + 4):
+        for i in range(TOLD_EVENTS):
             if self.told[i].number == 0:
                 return i
             if self.told[i].number < self.told[place].number:

@@ -22,3 +22,5 @@ ALTERNATIVES = 128  # sets of rotors that an event lists as alternatives
 CONTACTS = 64  # that are kept, the last ones
 FALLS = 32  # the same
 EVENTS = 128  # in one list, the last ones
+LISTED = 128  # losses, or events: the more
+TOLD_EVENTS = 132  # events of which the pilot was told, or will be

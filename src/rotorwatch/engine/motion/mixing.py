@@ -64,18 +64,28 @@ class Mixing:
     def costs(self, lag_s: float = 0.0, trim: bool = True) -> np.ndarray:
         """(windows, n, n), NaN in uninformative windows. lag_s: delay of outputs behind the demand. trim: include the means over each
         window, which hold no information on time."""
+        y, d, of_y, of_d, gain, scale = self._compared(lag_s, trim)
+        both, gain = np.add.reduceat(y[:, :, None] * d[:, None, :], self.starts), gain[:, :, None]
+        return (of_y[:, :, None] + gain**2 * of_d[:, None, :] - 2.0 * gain * both) / scale[:, :, None]
+
+    def own(self, lag_s: float) -> np.ndarray:
+        """(windows,) mean cost of the outputs by their own rows, without trim: the mean of the diagonals of `costs`."""
+        y, d, of_y, of_d, gain, scale = self._compared(lag_s, trim=False)
+        return ((of_y + gain**2 * of_d - 2.0 * gain * np.add.reduceat(y * d, self.starts)) / scale).mean(axis=1)
+
+    def _compared(self, lag_s: float, trim: bool) -> tuple[np.ndarray, ...]:
+        """y, d (m, n); of each window the sums of their squares (windows, n), the gain g (windows, 1), NaN in uninformative ones, and the
+        scale of costs (windows, n)."""
         n, paired, control = len(self.mixer), *self._asked(lag_s)
         count = np.add.reduceat(paired, self.starts, dtype=float)
         y, d = (self._apart(x, paired, count, trim) for x in (self.thrust, control @ self.mixer.T))
         of_y, of_d = (np.add.reduceat(x * x, self.starts) for x in (y, d))
-        both = np.add.reduceat(y[:, :, None] * d[:, None, :], self.starts)
         power = of_y.sum(axis=1), of_d.sum(axis=1)
         seen = (count >= LEAST) & (power[0] > count * n * SEEN**2) & (power[1] > count * n * ROUNDED**2)
-        gain = np.sqrt(power[0] / np.where(seen, power[1], np.inf))[:, None, None]
-        cost = of_y[:, :, None] + gain**2 * of_d[:, None, :] - 2.0 * gain * both
+        gain = np.sqrt(power[0] / np.where(seen, power[1], np.nan))[:, None]
         # For a rotor that moves less than the others, these set the scale: it shows only rounding.
-        scale = np.maximum(of_y, 0.1 * power[0][:, None] / n)
-        return np.where(seen[:, None, None], cost / np.maximum(scale, 1e-12)[:, :, None], np.nan)
+        scale = np.maximum(np.maximum(of_y, 0.1 * power[0][:, None] / n), 1e-12)
+        return y, d, of_y, of_d, gain, scale
 
     def unexplained(self) -> np.ndarray:
         """(windows, n) share of each output's differences from the others that no mixer explains; 1 in uninformative windows, or where an
@@ -226,14 +236,14 @@ def lags(found: Mixing) -> tuple[Lag, ...] | None:
 
     Each window has the lag at which its differences fit best; one that fits at none is ignored.
     """
-    now = _own(found, 0.0)
+    now = found.own(0.0)
     if not (now > STRAYS * FOLLOWS).sum() > 0.5 * LEAST_WINDOWS:
         return ()
     tried = np.concatenate([-np.arange(LAG_S, LATEST_S, LAG_S)[::-1], np.arange(0.0, LATEST_S, LAG_S)])
-    costs = np.stack([_own(found, lag) for lag in tried])
+    costs = np.stack([found.own(lag) for lag in tried])
     costs[np.isnan(costs)] = np.inf
     best, rows = costs.argmin(axis=0), np.arange(costs.shape[1])
-    telling = (costs[best, rows] < FOLLOWS) & (BETTER * costs[best, rows] < np.maximum(np.median(costs, axis=0), 1e-9))
+    telling = (costs[best, rows] < FOLLOWS) & (BETTER * costs[best, rows] < np.maximum(median(costs, axis=0), 1e-9))
     found_lags, starts = tried[best][telling], found.time[found.starts][telling]
     late = np.abs(found_lags) > LATE_S
     if late.sum() < LEAST_WINDOWS:
@@ -243,22 +253,17 @@ def lags(found: Mixing) -> tuple[Lag, ...] | None:
     k = 0 if spread[0] <= spread[k] + SAME_S else k
     if spread[k] > SAME_S * len(starts) or 0 < k < LEAST_WINDOWS or len(starts) - k < LEAST_WINDOWS:
         return None
-    parts = [Lag(-np.inf, float(np.median(found_lags[:k] if k else found_lags)))]
+    parts = [Lag(-np.inf, float(median(found_lags[:k] if k else found_lags)))]
     if k:  # a clock that is set leaves a gap, or samples that overlap
         near = np.flatnonzero((found.time >= starts[k - 1]) & (found.time <= starts[k] + WINDOW_S))
         gap = near[:-1][np.argmax(np.diff(found.time[near]))] + 1
-        parts.append(Lag(float(found.time[gap]), float(np.median(found_lags[k:]))))
+        parts.append(Lag(float(found.time[gap]), float(median(found_lags[k:]))))
     return tuple(part._replace(seconds=0.0) if abs(part.seconds) <= LATE_S else part for part in parts)
-
-
-def _own(found: Mixing, lag_s: float) -> np.ndarray:
-    """(windows,) mean cost of the outputs by their own rows, without trim."""
-    return np.diagonal(found.costs(lag_s, trim=False), axis1=1, axis2=2).mean(axis=1)
 
 
 def _spread(x: np.ndarray) -> float:
     """Sum of the distances from the median."""
-    return float(np.abs(x - np.median(x)).sum()) if x.size else 0.0
+    return float(np.abs(x - median(x)).sum()) if x.size else 0.0
 
 
 def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:

@@ -86,7 +86,9 @@ class Ticks:
 
 
 def joined(parts: Sequence[Ticks]) -> Ticks:
-    """Consecutive ticks in one table. A column missing from one part is missing from the whole, except contacts."""
+    """Consecutive ticks in one table; a single one as it is. A column missing from one part is missing from the whole, except contacts."""
+    if len(parts) == 1:
+        return parts[0]
     columns = {}
     for name, last in vars(parts[-1]).items():
         values = [getattr(p, name) for p in parts]

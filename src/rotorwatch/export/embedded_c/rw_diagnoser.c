@@ -114,7 +114,7 @@ int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications)
     const int count = (int)rw_engine_poll(&d->engine, d->vehicle);
     for (int k = 0; k < count; k++) {
         const rw_change *one = &e->fresh[k];
-        notifications[k].event = one->what == RW_WITHDRAWN ? &e->withdrawn[one->place] : &e->events[one->place];
+        notifications[k].event = one->what == RW_WITHDRAWN ? &e->room.losses[one->place] : &e->events[one->place];
         notifications[k].number = (uint16_t)one->number;
         notifications[k].kind = (uint8_t)one->what;
     }
@@ -132,6 +132,13 @@ int rw_diagnoser_main(const rw_diagnoser *d) { return (int)rw_engine_main(&d->en
 int rw_diagnoser_verdict(const rw_diagnoser *d) { return (int)rw_engine_verdict(&d->engine); }
 
 rw_real rw_diagnoser_loss(const rw_diagnoser *d, int rotor) { return d->engine.out.theta[rotor]; }
+
+const rw_reliance *rw_diagnoser_reliance(const rw_diagnoser *d) { return &d->engine.reliance; }
+
+int rw_diagnoser_factors(const rw_diagnoser *d, rw_real *factors)
+{
+    return (int)rw_reliance_factors(&d->engine.reliance, d->vehicle, factors);
+}
 
 const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
 {

@@ -119,6 +119,14 @@ const char *rw_diagnoser_verdict_text(const rw_diagnoser *d);
 /* Loss of a rotor, from 0, as the estimator has it now: 0 healthy to 1 dead. */
 rw_real rw_diagnoser_loss(const rw_diagnoser *d, int rotor);
 
+/* What control allocation may rely on, as of the last poll: effectiveness with its interval, rotors to leave out, the odds of that decision.
+   It does not flap: see rw_engine.h. `revision` changes with it. */
+const rw_reliance *rw_diagnoser_reliance(const rw_diagnoser *d);
+
+/* The mixer for that, into factors[4 * RW_ROTORS]: thrust of each rotor, a row each, for a unit of the rate controller's roll, pitch, yaw
+   and throttle, by which the vehicle answers as it does healthy by rw_vehicle.mixer. RW_TURNS; RW_LEVEL, where yaw has to be given up; or RW_UNABLE, where it must not be used. */
+int rw_diagnoser_factors(const rw_diagnoser *d, rw_real *factors);
+
 /* "rotorwatch: rotor 3 lost 32 % (28-36)" into text[RW_TEXT]; returns its severity: RW_CRITICAL, RW_WARNING or RW_NOTICE. */
 int rw_diagnoser_words(const rw_notification *notification, char *text);
 

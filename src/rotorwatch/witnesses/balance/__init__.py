@@ -1,6 +1,8 @@
-"""Rotors that are out of balance, by the vibration once per turn of each, in logs that hold rotor speeds and an unfiltered sensor.
+"""Rotors that are out of balance, by the vibration once per turn of each, in logs that hold an unfiltered sensor, and rotor speeds or the
+commands that tell them.
 
 hearing.py     which sensor hears, and which setting is missing where none does
+tones.py       rotor speeds from commands and tones, where none are logged
 orders.py      the orders of each rotor in windows: least squares at its angle
 imbalances.py  one figure for each rotor, with its interval
 unbalanced.py  against the other rotors, earlier flights, and the flight before
@@ -51,7 +53,8 @@ def _claims(view: View) -> Iterator[Event]:
     view.facts["imbalance"] = found
     view.warnings += found.doubts
     earlier = (view.vehicle.identified or {}).get("imbalance", ())
-    view.testimony.append(lambda onset: testimony.from_takeoff(found, earlier) if onset is None else testimony.at(found, onset))
+    if found.measured:
+        view.testimony.append(lambda onset: testimony.from_takeoff(found, earlier) if onset is None else testimony.at(found, onset))
     for one in unbalanced.findings(found, earlier):
         reason, extra = unbalanced.described(one, found.channel.unit, rotors(one.rotors))
         named, others = one.rotors[:1], tuple((r,) for r in one.rotors[1:])
@@ -62,4 +65,4 @@ def _claims(view: View) -> Iterator[Event]:
         yield Event(kind, named, onset, max(certain, onset), None, (), (), one.probability, others, reason, extra)
 
 
-WITNESSES = (Witness("balance", Stage.CLAIMS, 60, adding(_claims), needs=("esc",)),)
+WITNESSES = (Witness("balance", Stage.CLAIMS, 60, adding(_claims), needs=("motors",)),)

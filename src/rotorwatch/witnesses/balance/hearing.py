@@ -22,11 +22,14 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.engine.motion.allocation import output_range
 from rotorwatch.flight import Flight, Signal
 
 LEAST_HZ = 200.0  # a window of orders.WINDOW_S then has fewer samples than twice the unknowns of a quad
+FOLLOWS_HZ = 400.0  # without speeds: slower, too many tones share what is below half of it
 LEAST_SPEED_HZ = 8.0  # of the reports of a rotor's speed: their line follows it within a window
 LEAST_LEFT = 0.05  # of a tone behind a filter: below, errors of the filter's constants are as large as the tone
+LOOKS = 5000  # reports of which the usual speed is taken
 UNFILTERED = {"gyro": ("gyroUnfilt", "gyroRaw")}
 
 SPEEDS = {
@@ -95,6 +98,20 @@ def speeds(flight: Flight, rotors: int) -> tuple[np.ndarray, np.ndarray, np.ndar
     return esc.time, esc.values[:, columns], esc.valid[:, columns]
 
 
+def commands(flight: Flight, rotors: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """(time (m,) s, shares (m, rotors) of full command), from which tones.py finds the speeds; None where the log lacks them."""
+    if not flight.has("motors") or flight["motors"].values.shape[1] != rotors:
+        return None
+    low, high = output_range(flight)
+    sent, whole = flight["motors"], flight["motors"].whole
+    return (sent.time[whole], (sent.values[whole] - low) / (high - low)) if whole.any() else None
+
+
+def open_channel(flight: Flight) -> Channel | None:
+    """The sensor that hears tones at unknown frequencies best: without a filter, at FOLLOWS_HZ or more."""
+    return next((c for c in _channels(flight) if c.signal.rate_hz >= FOLLOWS_HZ and c.filter_hz == 0.0 and c.mean_s == 0.0), None)
+
+
 def channel(flight: Flight, hz: float) -> Channel | None:
     """The sensor that hears a rotor of `hz` turns a second best: an accelerometer before a gyro, the least filtered first."""
     found = [c for c in _channels(flight) if c.signal.rate_hz >= LEAST_HZ and float(c.left(np.array(hz))) >= LEAST_LEFT]
@@ -126,13 +143,16 @@ def usual_hz(flight: Flight, rotors: int) -> float:
     reported = speeds(flight, rotors) if rotors else None
     if reported is None:
         return 0.0
-    turning = reported[2] & (reported[1] > 0.0)
-    return float(median(reported[1][turning])) / (2.0 * np.pi) if turning.any() else 0.0
+    speed, valid = (table[:: 1 + len(table) // LOOKS] for table in reported[1:])
+    turning = valid & (speed > 0.0)
+    return float(median(speed[turning])) / (2.0 * np.pi) if turning.any() else 0.0
 
 
 def sensor(flight: Flight, rotors: int) -> Channel | None:
     """The sensor that hears the rotors of a log; None where none does."""
-    return channel(flight, usual_hz(flight, rotors)) if deaf(flight, rotors) is None else None
+    if deaf(flight, rotors) is not None:
+        return None
+    return open_channel(flight) if speeds(flight, rotors) is None else channel(flight, usual_hz(flight, rotors))
 
 
 def deaf(flight: Flight, rotors: int) -> Deaf | None:
@@ -140,6 +160,8 @@ def deaf(flight: Flight, rotors: int) -> Deaf | None:
     of = family(flight)
     reported = speeds(flight, rotors) if rotors else None
     if reported is None:
+        if rotors and open_channel(flight) is not None and commands(flight, rotors) is not None:
+            return None
         return Deaf("no speed of every rotor is logged", SPEEDS[of])
     time, speed, valid = reported
     turning = valid & (speed > 0.0)

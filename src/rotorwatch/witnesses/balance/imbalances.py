@@ -26,7 +26,7 @@ from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight
 from rotorwatch.stats.nonnegative import best_total
-from rotorwatch.witnesses.balance import hearing, orders
+from rotorwatch.witnesses.balance import hearing, orders, tones
 from rotorwatch.witnesses.balance.hearing import Channel
 from rotorwatch.witnesses.balance.orders import Windows
 
@@ -38,6 +38,7 @@ BLADES = (2, 3)
 MICRO = 1e6
 TRIAL = 20  # windows that show how long they must be, how many blades pass in a turn, and whether the poles are right
 LONGER, MOSTLY = (1.0, 2.0, 4.0, 8.0), 0.5  # lengths of windows that are tried; share in which the rotor that is least apart must be
+COHERENT = 3  # of these, where speeds are predicted from commands: in longer windows their angle drifts away
 ALIKE = 0.5  # correlation of two tones from which they are hardly ever apart
 GRID_S, LATE_S, LEAST_GRID = 0.1, 0.03, 50  # for the comparison of speeds with commands; of a motor behind its command
 EXCHANGED_FIT, EXCHANGED_BETTER = 0.6, 0.3
@@ -64,7 +65,7 @@ class Figure(NamedTuple):
 class Heard(NamedTuple):
     """What a flight's sensor hears of R rotors. figures: one each, None of a rotor with too few windows. windows: all of them; used (W, R):
     which of them count for a rotor. orders: those that were fitted, the first is once per turn. rate_hz: of the samples. doubts: why
-    nothing is concluded from the speeds, a sentence each; then there are no figures."""
+    nothing is concluded from the speeds, a sentence each; then there are no figures. measured: the speeds are logged ones."""
 
     channel: Channel
     figures: tuple[Figure | None, ...]
@@ -73,6 +74,7 @@ class Heard(NamedTuple):
     orders: tuple[int, ...]
     rate_hz: float
     doubts: tuple[str, ...] = ()
+    measured: bool = True
 
     def to_dict(self) -> list[dict[str, Any] | None]:
         """`rotors[].imbalance` of the answer."""
@@ -91,45 +93,44 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     """The imbalance of each rotor in the flights `air` ((start, end), ...) s; None where the log cannot hear."""
     if not air or hearing.deaf(flight, rotors) is not None:
         return None
-    reported = hearing.speeds(flight, rotors)
-    assert reported is not None
-    flown = within(reported[0], air)
-    turning = reported[2] & (reported[1] > orders.STANDING) & flown[:, None]
-    if not turning.any(axis=0).all():
-        return None
-    usual = np.array([float(median(reported[1][turning[:, k], k])) for k in range(rotors)])
-    channel = hearing.channel(flight, float(median(usual)) / (2.0 * np.pi))
+    reported, sure = hearing.speeds(flight, rotors), np.ones(rotors, bool)
+    channel = hearing.open_channel(flight)
+    if reported is not None:
+        turning = reported[2] & (reported[1] > orders.STANDING) & within(reported[0], air)[:, None]
+        if not turning.any(axis=0).all():
+            return None
+        usual = np.array([float(median(reported[1][turning[:, k], k])) for k in range(rotors)])
+        channel = hearing.channel(flight, float(median(usual)) / (2.0 * np.pi))
     if channel is None:
         return None
-    signal = channel.signal
-    rows = within(signal.time, air) & signal.whole
-    time, values = signal.time[rows], signal.values[rows]
-    speed = orders.at(time, *reported)
-    shortest = max(orders.WINDOW_S, orders.TURNS * 2.0 * np.pi / float(usual.min()))
+    rows = within(channel.signal.time, air) & channel.signal.whole
+    time, values = channel.signal.time[rows], channel.signal.values[rows]
+    if reported is not None:
+        speed = orders.at(time, *reported)
+    else:
+        sent = hearing.commands(flight, rotors)
+        followed = None if sent is None else tones.follow(time, values, *sent)
+        if followed is None or not followed.sure.any():
+            return None
+        speed, sure = followed
+        usual = np.median(speed, axis=0)
 
     def trial(factor: float, blades: int, window_s: float) -> Windows | None:
         return orders.fit(time, values, factor * speed, channel.exponent, (1, blades), window_s, TRIAL)
 
-    tried: list[tuple[float, float, Windows]] = []
-    for factor in LONGER:
-        if (w := trial(1.0, BLADES[0], shortest * factor)) is not None:
-            tried.append((_apart(w), shortest * factor, w))
-            if tried[-1][0] > MOSTLY:
-                break
-    if not tried:
+    if (chosen := _chosen(trial, usual, sure, LONGER if reported is not None else LONGER[:COHERENT])) is None:
         return None
-    _, window_s, first = max(tried, key=lambda one: one[0])
-    others = ((k, trial(1.0, k, window_s)) for k in BLADES[1:])
-    fits = [(float(median(w.left)), k) for k, w in ((BLADES[0], first), *others) if w is not None]
-    kept = (1, min(fits)[1])
+    kept, window_s = chosen
 
     def fitted(of: np.ndarray) -> Heard | None:
         windows = orders.fit(time, values, of, channel.exponent, kept, window_s)
-        return None if windows is None else heard(channel, windows, kept, signal.rate_hz)
+        return None if windows is None else heard(channel, windows, kept, channel.signal.rate_hz)
 
     found = fitted(speed)
     if found is None:
         return None
+    if reported is None:
+        return found._replace(figures=tuple(f if s else None for f, s in zip(found.figures, sure)), used=found.used & sure, measured=False)
     poles = _other_poles(flight, found, lambda factor: trial(factor, kept[1], window_s))
     doubts = tuple(filter(None, (_exchanged(flight, *reported, air), poles)))
     if doubts:
@@ -142,6 +143,26 @@ def listen(flight: Flight, rotors: int, air: Spans) -> Heard | None:
     if merged is None:
         return found
     return _joined(found, merged, groups)
+
+
+def _chosen(
+    trial: Callable[[float, int, float], Windows | None], usual: np.ndarray, sure: np.ndarray, longer: Sequence[float]
+) -> tuple[tuple[int, int], float] | None:
+    """(orders, length s of the windows) that suit rotors of usual speeds (R,), by fits of a few windows, `longer` times as long as
+    usual; None where none is whole. sure (R,): the rotors that are to be told apart."""
+    shortest = max(orders.WINDOW_S, orders.TURNS * 2.0 * np.pi / float(usual.min()))
+    tried: list[tuple[float, float, Windows]] = []
+    for factor in longer:
+        if (w := trial(1.0, BLADES[0], shortest * factor)) is not None:
+            tried.append((_apart(w, sure), shortest * factor, w))
+            if tried[-1][0] > MOSTLY:
+                break
+    if not tried:
+        return None
+    _, window_s, first = max(tried, key=lambda one: one[0])
+    others = ((k, trial(1.0, k, window_s)) for k in BLADES[1:])
+    fits = [(float(median(w.left)), k) for k, w in ((BLADES[0], first), *others) if w is not None]
+    return (1, min(fits)[1]), window_s
 
 
 def _joined(found: Heard, merged: Heard, groups: Sequence[tuple[int, ...]]) -> Heard:
@@ -196,10 +217,10 @@ def _alike(found: Heard) -> list[tuple[int, ...]]:
     return [tuple(k for k in range(n) if group[k] == g) for g in sorted(set(group))]
 
 
-def _apart(windows: Windows) -> float:
-    """The share of windows in which the rotor that is least often apart from the others is."""
+def _apart(windows: Windows, sure: np.ndarray) -> float:
+    """The share of windows in which the rotor (of these) that is least often apart from the others is."""
     turning = windows.speed > 0.0
-    return float(((windows.inflation[:, 0] < APART) & turning).sum(axis=0).min() / max(int(turning.all(axis=1).sum()), 1))
+    return float(((windows.inflation[:, 0] < APART) & turning).sum(axis=0)[sure].min() / max(int(turning.all(axis=1).sum()), 1))
 
 
 def _exchanged(flight: Flight, time: np.ndarray, speed: np.ndarray, valid: np.ndarray, air: Spans) -> str:

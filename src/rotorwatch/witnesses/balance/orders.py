@@ -105,15 +105,16 @@ def windows(time: np.ndarray, speed: np.ndarray, window_s: float, unknowns: int)
 def at(time: np.ndarray, reported: np.ndarray, speed: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """(n, R) speeds at times (n,), between reports (m,) s of speed (m, R) with valid (m, R); NaN where two reports are too far apart, or
     only one of them is of a rotor that stood."""
-    out = np.full((time.size, speed.shape[1]), np.nan)
+    out, after, close = np.full((time.size, speed.shape[1]), np.nan), np.zeros(0, int), np.zeros(0, bool)
     for k in range(speed.shape[1]):
         known = valid[:, k]
         t, w = reported[known], speed[known, k]
         if t.size < 2:
             continue
-        after = np.clip(np.searchsorted(t, time), 1, t.size - 1)
-        near = (t[after] - t[after - 1] <= SPEED_GAP_S) & (time >= t[0]) & (time <= t[-1])
-        near &= (w[after] > STANDING) == (w[after - 1] > STANDING)
+        if k == 0 or not np.array_equal(known, valid[:, k - 1]):
+            after = np.clip(np.searchsorted(t, time), 1, t.size - 1)
+            close = (t[after] - t[after - 1] <= SPEED_GAP_S) & (time >= t[0]) & (time <= t[-1])
+        near = close & ((w[after] > STANDING) == (w[after - 1] > STANDING))
         out[near, k] = np.interp(time[near], t, w)
     return out
 

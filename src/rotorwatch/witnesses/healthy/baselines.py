@@ -66,9 +66,7 @@ class Candidate:
     @cached_property
     def vehicle(self) -> Vehicle:
         """Its airframe, without learned parameters. Raises VehicleError."""
-        craft = self.given or airframes.identify(self.flight)
-        airframes.check(craft, self.flight)
-        return replace(craft, identified=None)
+        return replace(airframes.of(self.flight, self.given), identified=None)
 
     @cached_property
     def air(self) -> tuple[tuple[float, float], ...]:
@@ -177,8 +175,7 @@ def settle(
 
     vehicle: requested, or None: as the log says. baseline: healthy flights, whose `identified` the vehicle then carries; diagnose: as for
     `healthy`. Raises as `healthy` does, and VehicleError when the vehicle has another number of rotors than the log."""
-    craft = vehicle or airframes.identify(flight)
-    airframes.check(craft, flight)
+    craft = airframes.of(flight, vehicle)
     warnings = _other_frame(flight, vehicle)
     given = several(baseline)
     if given:

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.air_spans import output_range
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
@@ -69,7 +70,7 @@ def _spells(time: np.ndarray, so: np.ndarray) -> list[tuple[int, int]]:
     rows, spells = np.flatnonzero(so), []
     if not rows.size:
         return []
-    cuts = np.flatnonzero(np.diff(time[rows]) > GAP_S + 1.5 * float(np.median(np.diff(time))))
+    cuts = np.flatnonzero(np.diff(time[rows]) > GAP_S + 1.5 * float(median(np.diff(time))))
     for first, last in zip([0, *(cuts + 1)], [*cuts, rows.size - 1]):
         a, b = int(rows[first]), int(rows[last])
         if time[b] - time[a] >= LEAST_S and so[a : b + 1].mean() > 0.8:

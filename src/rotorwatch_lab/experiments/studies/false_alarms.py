@@ -418,19 +418,19 @@ def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | No
     result = {}
     for shift in SHIFTS:
         # Without evidence above a threshold there is no alarm: only where there was, the diagnoser is run again.
-        same = not shift or not (out.announced.any() if shift > 0 else _crossed(table, out, shift).any())
-        result[shift] = first(out.announced if same else _announced(table, vehicle, shift))
+        same = not shift or not (out.announced.any() if shift > 0 else crossed(table, out, shift).any())
+        result[shift] = first(out.announced if same else announced(table, vehicle, shift))
     return result
 
 
-def _crossed(table: Ticks, out, shift: float) -> np.ndarray:
+def crossed(table: Ticks, out, shift: float) -> np.ndarray:
     """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
     hyp = list_hypotheses(out.theta.shape[1])
     evidence = np.logaddexp.reduce(out.log_odds[:, hyp.fault], axis=1)
     return (evidence > program.threshold(hyp.n, table.dt) + shift) & (table.mode == JUDGE)
 
 
-def _announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
+def announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:
     """(T,) bool: announcements with the threshold `shift` nats higher."""
     B = vehicle.effectiveness()
     steps = program.steps(table.dt, B, (vehicle.identified or {}).get("dynamics"))
