@@ -24,8 +24,7 @@ class Explanation(NamedTuple):
     of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
-    by which it yaws the vehicle in a side force; force_s: s for which these last. load: share of the trim of roll and pitch that grows
-    with all thrust."""
+    by which it yaws the vehicle in a side force. load: share of the trim of roll and pitch that grows with all thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -39,7 +38,6 @@ class Explanation(NamedTuple):
     drift: float = 0.0
     lever: float = 0.0
     load: float = 0.0
-    force_s: float = np.inf
 
 
 class Fit(NamedTuple):
@@ -102,7 +100,7 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     plant = laid_out(parameters(where.B, ticks.dt, dynamics(where.learned, where.B)))
     tables = np.ascontiguousarray(u, float), np.ascontiguousarray(where.y, float), np.ascontiguousarray(valid, bool)
     noise = np.ascontiguousarray(np.asarray(where.learned.variances).reshape(-1))
-    time, begin = ticks.command_time, float(ticks.command_time[where.onset]) if where.onset < len(ticks.time) else np.inf
+    time = ticks.command_time
 
     def tick(at_s: float) -> int:
         return int(np.searchsorted(time, at_s)) if np.isfinite(at_s) else NEVER
@@ -114,7 +112,6 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     }
     rows.fill(
         rotors=np.array([sum(1 << i for i in e.rotors) for e in them]), end=np.array([tick(e.end_s) for e in them]),
-        calm=np.array([tick(begin + e.force_s) for e in them]),
         step=np.array([e.step * where.width for e in them]), **columns,
     )  # fmt: skip
     state = ENGINE.new(estimator.Estimator)

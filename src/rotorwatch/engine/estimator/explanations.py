@@ -44,7 +44,6 @@ class Explanation(Struct):
     lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
     load: Real = 0.0  # share of the trim of roll and pitch that grows with the thrust of all rotors, as that of a centre of mass does
     moved = array(REAL, 2)  # trim of roll and pitch at the onset
-    calm: int = 0  # tick at which it ends
     fit: Real = 0.0  # log p
     square = array(REAL, 4)  # mean square of the normalised innovations from the onset on
     loss = array(REAL, ROTORS)  # at its end
@@ -136,7 +135,7 @@ def _predict(p: Plant, one: Branch, how: Explanation, noise: Noise, again: bool,
         for i in range(p.rotors):
             if (how.rotors & (1 << i)) != 0:
                 one.P[entry(THETA + i, THETA + i)] += how.grows * how.grows * p.dt
-    if t >= onset and t < how.calm:
+    if t >= onset:
         _stir(p, one, noise, how.force * how.force - 1.0, how.drift)
 
 
@@ -187,7 +186,7 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
         if ends:
             one.forget(p, THETA + i)
             one.active[i] = False
-    if begins or ends or (t == how.calm and t > onset):
+    if begins or ends:
         for a in range(4):
             one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
 
