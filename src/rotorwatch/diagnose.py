@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from rotorwatch import detectors
 from rotorwatch.answer import by_method, common_mode, picture, traces
-from rotorwatch.base import discovery, memory
+from rotorwatch.base import discovery
 from rotorwatch.base.progress import READ, portion
 from rotorwatch.case.conductor import Case
 from rotorwatch.case.estimated import Estimated
@@ -114,7 +114,6 @@ def diagnose(
     if done.series is not None:
         answer = answer._replace(end=by_method.told(answer.end, done.series))
     clock.lap("events_s")
-    memory.give_back()
     diagnosis = _diagnosis(case, answer, clock, estimator=discovery.title(estimator), **_beside(case, done, answer, clock))
     tell(1.0, "done")
     return diagnosis

@@ -21,10 +21,11 @@ from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.engine.motion.overrides import Override
-from rotorwatch.engine.motion.tick_table import ROOM, Plan, Ticks, columns, joined, known_hover, laid_out
+from rotorwatch.engine.motion.tick_table import Plan, Ticks, columns, joined, known_hover, laid_out
 from rotorwatch.flight.vehicle import Vehicle
 
-MANY = 8  # pieces whose memory is worth giving back before the next columns are joined
+ROOM = 128  # ticks in one call
+MANY = 32  # pieces whose memory is worth giving back before the next columns are joined
 
 
 class Judged(NamedTuple):
