@@ -5,7 +5,8 @@ and the table of docs/estimate.md.
 
 Flights of plans/intervals.toml, up to a loss of control, without the SETTLED_S after an onset. Factors are made of every second round of
 all frames and autopilots; the table counts the other flights. FOLDER keeps what is finished: the same call goes on from there, and a larger
---flights adds to it. --methods, --frames: only these; the others' factors stay as they are.
+--flights adds to it. --methods, --frames: only these; the others' factors stay as they are. The table is of this call's. The default has a
+loss or none, which no factor makes up for: it is measured when named, but its rows do not belong into the file.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def main() -> None:
     given = parser.parse_args()
     plan = read(PLAN)
     cells = len(plan.cells)
-    names = given.methods.split(",") if given.methods else ["default", *(n for n in discovery.estimators() if n != "default")]
+    names = given.methods.split(",") if given.methods else [n for n in discovery.estimators() if n != "default"]
     width = 8 * cells  # flights of a part: eight of each cell, whatever their number
     parts = [
         (name, list(range(first + cell, min(first + width, given.flights), cells)))
