@@ -176,7 +176,7 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     for told in (event, replace(event, end_s=None)):
         missing = _missing(slow, [*rest, told])
         where = span(view.clear, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
-        if where.ticks.valid[where.onset :].any(axis=1).sum() * view.clear.dt < SHORTEST_S:
+        if (len(where.ticks.time) - where.onset) * view.clear.dt < SHORTEST_S:
             return event
         near = abs(where.ticks.command_time - event.end_s) < MARGIN_S
         where = replace(where, ticks=replace(where.ticks, valid=where.ticks.valid & ~near[:, None]))
