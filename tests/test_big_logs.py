@@ -38,4 +38,4 @@ def test_memory_grows_by_little_more_than_the_log(tmp_path):
         path.write_bytes(made.enlarged(data, size))
         sizes.append(path.stat().st_size)
         peaks.append(peak(path))
-    assert peaks[1] - peaks[0] < 1.25 * (sizes[1] - sizes[0])
+    assert peaks[1] - peaks[0] < 1.4 * (sizes[1] - sizes[0])

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from embedded_c_parts import STRICT, compilers
+from rotorwatch.base import medians
 from rotorwatch.base.compiling import structs
 from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine.intake import craft as vehicle
@@ -28,7 +29,7 @@ LATER = 1.0 / 2048.0
 
 def written(folder):
     """The definitions as C, in a folder; the header."""
-    made = Translation([vehicle, mixer, deviations], sizes)
+    made = Translation([medians, vehicle, mixer, deviations], sizes)
     (folder / "rw_config.h").write_text("".join(f"#define RW_{k} {v}\n" for k, v in made.sizes.items()))
     (folder / "rw_front.h").write_text(made.header("Made for a test."))
     (folder / "rw_front.c").write_text(made.source("rw_front.h"))

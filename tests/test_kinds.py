@@ -88,7 +88,7 @@ def test_every_kind_is_said_everywhere(event):
     sentences = [answer.headline, answer.reason, *answer.advice, *(r.note for r in answer.rotors)]
     assert answer.advice[0] != BASELINE  # something is to be done about each
     assert not any(brace in text for text in sentences for brace in "{}")
-    assert Diagnosis.from_dict(json.loads(answer.to_json())).events == (replace(event, extra=answer.events[0].extra),)
+    assert Diagnosis.from_dict(json.loads(answer.to_json())).events == (replace(event.stated(), extra=answer.events[0].extra),)
     line = view.words(event, 50.0)
     assert "31.2 s (19 s ago)" in line and ("rotor" in line or "motor" in line or not event.rotors)
     alert = {"type": "event", "state": "announced", "vehicle": "1", "number": 1, "event": event.to_dict()}

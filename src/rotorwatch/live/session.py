@@ -88,7 +88,7 @@ class Session:
 
     def events(self) -> tuple[Event, ...]:
         """All events, as they look now."""
-        return () if self.case is None else self.case.claims().events
+        return () if self.case is None else tuple(e.stated() for e in self.case.claims().events)
 
     @property
     def doubt(self) -> str:
