@@ -1,6 +1,5 @@
 """What a long log costs, by its laws: memory grows with the log by little more than the log."""
 
-import importlib.util
 import lzma
 import tracemalloc
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import rotorwatch as rw
+from script_files import loaded
 
 FLIGHTS = Path(__file__).resolve().parents[2] / "shared" / "flights"
 LOG = FLIGHTS / "ardupilot-sitl" / "fullrate_excerpt_quadx_m1_mul0.90_hover.bin.xz"
@@ -28,10 +28,7 @@ def test_memory_grows_by_little_more_than_the_log(tmp_path):
     """Of a log at 400 Hz, whose samples are its bulk; what is mapped of the file comes and goes."""
     if not LOG.exists():
         pytest.skip("the flight logs for tests are not here")
-    spec = importlib.util.spec_from_file_location("making_long_logs", BENCHMARK)
-    assert spec is not None and spec.loader is not None
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
+    made = loaded(BENCHMARK)
     data, path = lzma.decompress(LOG.read_bytes()), tmp_path / "long.bin"
     sizes, peaks = [], []
     for size in (5_000_000, 20_000_000):

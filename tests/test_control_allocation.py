@@ -1,7 +1,6 @@
 """Control allocation: exact against SciPy and against every active set, priorities, doubt, commands that no number asks for, and its C."""
 
 import ctypes
-import importlib.util
 import itertools
 import subprocess
 from pathlib import Path
@@ -17,13 +16,9 @@ from rotorwatch.errors import ConfigError
 from rotorwatch_lab.control import allocation, box
 from rotorwatch_lab.control.allocation import Allocator, Belief, believed
 from rotorwatch_lab.export_c import allocator_program, export_allocator
+from script_files import loaded
 
-BENCHMARK = importlib.util.spec_from_file_location(
-    "benchmark_of_allocation", Path(__file__).resolve().parents[1] / "benchmarks" / "allocation.py"
-)
-assert BENCHMARK is not None and BENCHMARK.loader is not None
-study = importlib.util.module_from_spec(BENCHMARK)
-BENCHMARK.loader.exec_module(study)
+study = loaded(Path(__file__).resolve().parents[1] / "benchmarks" / "allocation.py")
 
 jax = load_jax()
 QUAD, HEXA = "ardupilot-quad-x", "ardupilot-hexa-x"

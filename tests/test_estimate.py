@@ -2,7 +2,6 @@
 
 import csv
 import functools
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from rotorwatch_lab.commands import estimate as command
 from rotorwatch_lab.compiling.run import run
 from rotorwatch_lab.estimate import Estimates, read_truth, steps
 from rotorwatch_lab.published import helicopter_log, log_plant, own, paper_log, published
+from script_files import loaded
 
 ROOT = Path(__file__).parents[1]
 FAULTY = next(iter(sorted(cli.SAMPLES.glob("hexa*.bin.xz"))))
@@ -293,9 +293,7 @@ def test_a_page_of_sets_says_what_they_neglect():
 
 
 def test_the_pages_tables_are_made_of_the_data():
-    spec = importlib.util.spec_from_file_location("make_estimates", ROOT / "docs/make_estimates.py")
-    made = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
+    made = loaded(ROOT / "docs/make_estimates.py")
     data = json.loads(made.DATA.read_text())
     assert made.PAGE.read_text().endswith(made.page(data))
     assert {method for row in data["flights"] for method in row["methods"]} >= set(made.METHODS)

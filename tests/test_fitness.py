@@ -1,6 +1,5 @@
 """Whether to fly again: the word, the checks, and what would make the answer surer; and the causes, for programs."""
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -17,12 +16,11 @@ from rotorwatch.answer.findings import Evidence
 from rotorwatch.flight.diagnosis import SUREST, Diagnosis, Trend
 from rotorwatch.flight.kinds import Weight, table
 from rotorwatch.report import html, terminal
+from script_files import loaded
 from test_cli import run  # noqa: F401 - a fixture
 
 ROOT = Path(__file__).parents[1]
-SPEC = importlib.util.spec_from_file_location("make_schema", ROOT / "docs" / "make_schema.py")
-make_schema = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(make_schema)
+make_schema = loaded(ROOT / "docs" / "make_schema.py")
 PAGE, TARGET, schema = make_schema.PAGE, make_schema.TARGET, make_schema.schema
 SAMPLES = Path(rw.__file__).parent / "samples"
 

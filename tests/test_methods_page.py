@@ -1,21 +1,17 @@
 """The page of methods lists what discovery finds, and links the page of each method that has one."""
 
-import importlib.util
 import re
 from pathlib import Path
 
 from rotorwatch.base import discovery
+from script_files import loaded
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "methods" / "index.md"
 
 
 def maker():
-    spec = importlib.util.spec_from_file_location("make_methods", ROOT / "docs" / "make_methods.py")
-    assert spec and spec.loader
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(ROOT / "docs" / "make_methods.py")
 
 
 def test_every_method_is_listed_with_its_page():

@@ -1,6 +1,5 @@
 """Campaigns judged by logs: plans of kinds, what an answer is worth, the table, and a few flights through the command."""
 
-import importlib.util
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +13,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import open_score, open_world
 from rotorwatch_lab.simulation import scenario
+from script_files import loaded
 
 KINDS = [
     {"name": "calm"},
@@ -183,9 +183,7 @@ def test_counts_of_a_table_whose_answer_is_known():
 
 def test_the_results_page_takes_the_table_between_its_marks():
     path = Path(__file__).resolve().parents[1] / "docs" / "make_open_world.py"
-    spec = importlib.util.spec_from_file_location("make_open_world", path)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = loaded(path)
     page = script.PAGE.read_text(encoding="utf-8")
     made = script.filled(page, {"flights": 3, "name": "made", "lines": []})
     assert "3 flights of made: " in made and script.filled(made, {"flights": 3, "name": "made", "lines": []}) == made

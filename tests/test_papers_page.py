@@ -1,6 +1,5 @@
 """docs/papers.md is made from the claims' data, and has a row for every claim of the five papers."""
 
-import importlib.util
 import json
 import re
 from pathlib import Path
@@ -9,17 +8,14 @@ import pytest
 
 from rotorwatch.base import files
 from rotorwatch_lab.experiments.studies import reproduction
+from script_files import loaded
 
 DOCS = Path(__file__).parents[1] / "docs"
 
 
 @pytest.fixture(scope="module")
 def make():
-    spec = importlib.util.spec_from_file_location("make_papers", DOCS / "make_papers.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(DOCS / "make_papers.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """docs/ranking.md is made of the results in benchmarks/results, and results that their seeds do not give are refused."""
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -8,34 +7,17 @@ import pytest
 
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.campaign import benchmark, benchmark_plan, results_file
+from script_files import loaded
+from test_benchmark import SMALL
 
 pytest.importorskip("pyarrow")
 DOCS = Path(__file__).parents[1] / "docs"
-PLAN = """
-healthy = 0.5
-[benchmark]
-version = 1
-flights = 3
-false_alarms_h = 6.0
-within_s = 5.0
-[scenario]
-duration_s = 40.0
-[scenario.airframe]
-frame = "quad-x"
-[[faults]]
-kind = "loss"
-onset_s = 25.0
-strength = 0.3
-"""
+PLAN = SMALL.replace("flights = 4", "flights = 3")
 
 
 @pytest.fixture(scope="module")
 def make():
-    spec = importlib.util.spec_from_file_location("make_ranking", DOCS / "make_ranking.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(DOCS / "make_ranking.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """The bridge from our closed loop to RotorPy's equations of motion (benchmarks/second_simulator.py)."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch_lab.control.allocation import rows
 from rotorwatch_lab.simulation import dynamics, plan, prepare, rigid, scenario
+from script_files import loaded
 
 pytest.importorskip("rotorpy")
 HERE = Path(__file__).resolve().parents[1] / "benchmarks" / "second_simulator.py"
@@ -16,11 +16,7 @@ HERE = Path(__file__).resolve().parents[1] / "benchmarks" / "second_simulator.py
 
 @pytest.fixture(scope="module")
 def second():
-    spec = importlib.util.spec_from_file_location("second_simulator", HERE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(HERE)
 
 
 @pytest.mark.parametrize("frame, lower", [("hexa-x", 1.0), ("y6", 1.0), ("y6", 0.85)])

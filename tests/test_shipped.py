@@ -1,6 +1,5 @@
 """Machine code that comes with the package: only of its definitions, only for this computer, and enough to judge flights without JAX."""
 
-import importlib.util
 import json
 import os
 import platform
@@ -16,6 +15,7 @@ from rotorwatch.base.compiling import shipped, toolchain
 from rotorwatch.commands.cli import SAMPLES
 from rotorwatch.engine.bindings import shipping
 from rotorwatch.engine.definition import ENGINE
+from script_files import loaded
 
 SAMPLE = SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"
 
@@ -198,10 +198,7 @@ def test_a_cross_compiler_builds_for_its_own_kind_of_processor(tmp_path, monkeyp
 
 def test_what_changes_pythons_start_is_kept_from_the_build_of_the_code(tmp_path, monkeypatch):
     """Of an isolated build: it would take the sources out of the path where they are installed in place already."""
-    spec = importlib.util.spec_from_file_location("hatch_build", Path(__file__).parents[1] / "hatch_build.py")
-    assert spec is not None and spec.loader is not None
-    build = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(build)
+    build = loaded(Path(__file__).parents[1] / "hatch_build.py")
     isolated = tmp_path / "site"
     isolated.mkdir()
     (isolated / "sitecustomize.py").touch()

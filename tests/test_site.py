@@ -1,6 +1,5 @@
 """The documents' site: it is built without a warning, has a place for every page, and explains every parameter."""
 
-import importlib.util
 import re
 import runpy
 import subprocess
@@ -14,16 +13,14 @@ import pytest
 import rotorwatch as rw
 from browser_tab import launched
 from rotorwatch.base import discovery
+from script_files import loaded
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
 def make_api():
-    spec = importlib.util.spec_from_file_location("make_api", ROOT / "docs" / "make_api.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(ROOT / "docs" / "make_api.py")
 
 
 def test_every_parameter_of_a_public_name_is_explained(make_api):

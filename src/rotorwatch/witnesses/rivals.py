@@ -168,8 +168,8 @@ def _missing(table: Ticks, events: Sequence[Event], but: Sequence[int] = ()) -> 
 
 def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     """The event; without an end where the motion after it has more evidence with the loss than without. The loss takes thrust with ANSWER_S
-    of lag: a controller answers gusts by quick commands, which any loss would seem to explain in part. What is
-    within MARGIN_S of the end does not count: it would be taken for a change of the trim."""
+    of lag: a controller answers gusts by quick commands, which any loss would seem to explain in part. What is within MARGIN_S of the end
+    does not count: it would be taken for a change of the trim."""
     if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.clear is None:
         return event
     rest, logs, slow = [e for e in events if e is not event], [], lagged(view.clear, view.B, ANSWER_S)
@@ -271,10 +271,10 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
 
     With d, the part of a rotor's thrust that is faster than a lag, its share that is missing since tick k has the evidence
     (sum_t B_a d nu_a / S_a)^2 / sum_t (B_a d)^2 / S_a over the innovations nu from k on."""
-    table, out, B = view.table, view.out, view.B
+    table, out, B = view.clear, view.out, view.B
     if out is None or table is None or any(e.means.accuses for e in events):
         return []
-    judged = (table.mode == JUDGE) & table.valid.all(axis=1) & ~view.ground & ~table.upset
+    judged = (table.mode == JUDGE) & table.valid.all(axis=1) & ~table.upset
     quick = table.thrust - lagged(table, B, SLOWS_S).thrust
     weight = judged[:, None] / out.innovation_var
     score = np.cumsum(((weight * out.innovation) @ B * quick)[::-1], axis=0)[::-1]
