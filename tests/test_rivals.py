@@ -263,3 +263,17 @@ def test_what_begins_on_the_ground_is_not_counted():
     seen = view(replace(ticks, thrust=thrust))
     seen.lost = (58.0,)  # a fall is no landing
     assert near_ground.WITNESSES[0].hear(seen, claims) == claims
+
+
+def test_what_moves_on_the_ground_is_no_evidence():
+    """A leg that catches takes any wrench, one like that of a weak rotor as well."""
+    ticks = flight()
+    landed = replace(ticks, thrust=ticks.thrust * np.where(ticks.time > 55.0, 0.7, 1.0)[:, None])
+    leaning = replace(landed, wrench=landed.wrench + np.outer(ticks.time > 55.5, 0.6 * QUAD[:, 1]))
+    seen, other = view(landed), view(leaning)
+    assert seen.clear is not None and not seen.clear.valid[seen.ground].any() and seen.clear.valid[~seen.ground].any(axis=1).all()
+    other.learned = seen.learned
+    one, two = (rivals.weigh(v, claim(2, 50.0), ()) for v in (seen, other))
+    assert one is not None and two is not None
+    np.testing.assert_allclose(one.logs(), two.logs())
+    assert rivals.weigh(seen, claim(2, 53.0), ()) is None  # too little is flown after it
