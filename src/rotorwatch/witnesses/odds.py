@@ -24,10 +24,10 @@ from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.engine.events.decisions import CLEAR
 
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; added are
-# "beside" for two at once, and "claimed" where the rotors are those of a loss that was announced.
+# "beside" for two at once, which have both their weights, and "claimed" where the rotors are those of a loss that was announced.
 WEIGHTS: dict[str, float] = {
-    "loss": 0.0, "growing": -0.6, "stuck": -2.3, "capped": -3.3, "two": -5.9, "slow": -2.6, "turned": -1.8,
-    "nothing": 5.8, "step": 0.2, "shift": 1.2, "move": 0.9, "wrench": 0.3, "beside": -0.9, "claimed": 1.2,
+    "loss": 0.0, "growing": 0.4, "stuck": 0.6, "capped": -3.2, "two": -8.9, "slow": -3.5, "turned": -2.8,
+    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -2.4, "move": -0.5, "wrench": 0.5, "beside": -6.0, "claimed": 1.0,
 }  # fmt: skip
 TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
 
@@ -55,6 +55,11 @@ class Rival(NamedTuple):
     name: str
     how: Explanation
     beside: str = ""
+
+    @property
+    def group(self) -> str:
+        """The first word of its name."""
+        return self.name.partition(" ")[0]
 
     @property
     def weak(self) -> tuple[int, ...]:
@@ -145,7 +150,7 @@ class Comparison:
 
     def weights(self, one: Row) -> tuple[str, ...]:
         """Names in WEIGHTS of what adds to the log weight of a row."""
-        return (one.group, *(("beside",) if one.beside else ()), *(("claimed",) if self.claims(one) else ()))
+        return (one.group, *(("beside", one.beside.partition(" ")[0]) if one.beside else ()), *(("claimed",) if self.claims(one) else ()))
 
     def weighed(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> Weighed:
         """The probabilities."""

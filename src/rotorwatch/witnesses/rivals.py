@@ -41,9 +41,9 @@ register(
 )  # fmt: skip
 SOURCE, HEARD = Source(SCAN, 3), Source("balance", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
-SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over, and not total
+SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over
 MARGIN_S = 1.0  # about an end: it is known no better, and rotors may recover in some tenths of a second
-LANDED_S = 1.0  # of the log after a landing
+LANDED_S = 1.0  # of the log after motion that could refute a loss
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 COMPARED = "compared"  # in View.facts: all comparisons of the flight
 # What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; one that grows with the thrust, as by
@@ -51,10 +51,13 @@ COMPARED = "compared"  # in View.facts: all comparisons of the flight
 # its lever in a side force; and a free wrench, as a factor of the disturbances.
 ELSE = (
     *(Rival(f"step {step:g}", Explanation(step=step)) for step in (1.0, 4.0)),
+    Rival("push", Explanation(push=0.5, step=1.0)),
+    Rival("push grows", Explanation(push=0.5, step=1.0, swells=0.07)),
     Rival("shift", Explanation(step=1.0, load=1.0)),
     *(Rival(f"move 0.04, lever {lever:g}", Explanation(drift=0.04, lever=lever, load=1.0)) for lever in (0.0, 14.0)),
     Rival("wrench 3", Explanation(step=1.0, force=3.0)),
 )  # fmt: skip
+PASSES, PASSED = ("step", "push", "wrench"), " passes"  # of these: what may be over when the change is
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
@@ -69,7 +72,7 @@ LAGS_S = (0.0, 0.03, 0.06, 0.12)  # of all motors, beyond the lag that the ticks
 def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Mapping[float, float] | None = None) -> list[Rival]:
     """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of: it
     comes first; caps: quantile -> thrust that may be the most that they give, hover thrusts."""
-    rest = [Rival("nothing", Explanation()), *ELSE]
+    rest = [Rival("nothing", Explanation()), *ELSE, *(_passing(r, end_s) for r in ELSE if r.group in PASSES and end_s < np.inf)]
     rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
     rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
     singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
@@ -79,6 +82,11 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Mapping[float, fl
     own += [Rival(f"capped {q:g}", Explanation(claim, end_s, cap=cap)) for q, cap in (caps or {}).items()]
     pairs = [Rival("two losses", Explanation((*claim, i), end_s)) for i in range(n) if len(claim) == 1 and i not in claim]
     return [*own, *rest, *singles, *pairs]
+
+
+def _passing(one: Rival, end_s: float) -> Rival:
+    """What else moves the vehicle, until the end of the change."""
+    return Rival(f"{one.name}{PASSED}", one.how._replace(end_s=end_s))
 
 
 def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
@@ -92,7 +100,9 @@ def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
 def beside(n: int, claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
     """The loss together with the likeliest of what else moves the vehicle; and so the likeliest slow rotor or turned mount, and a loss of
     each other rotor of n: what else moves a vehicle has more freedom than its model, of which any rotor's loss takes a part."""
-    likely = sorted((k for k, r in enumerate(them) if r in ELSE), key=lambda k: -logs[k])[:COMPANIONS]
+    evidence = {r.name: x for r, x in zip(them, logs)}
+    likely = sorted((k for k, r in enumerate(them) if r in ELSE), key=lambda k: -max(logs[k], evidence.get(them[k].name + PASSED, -np.inf)))
+    likely = likely[:COMPANIONS]
     odd = them[max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])]
     own = [Rival("loss", them[k].how._replace(rotors=claim, end_s=end_s), them[k].name) for k in likely]
     # Theirs last: an end would open the trim once more, as no disturbance alone does.
@@ -140,7 +150,7 @@ def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s:
     where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(table, events, event.rotors))
     if where.ticks.valid[where.onset :].any(axis=1).sum() * table.dt < SHORTEST_S:
         return None
-    if min(end_s, until) - event.onset_s < (SHORTEST_S if _total(event) else BRIEF_S):
+    if min(end_s, until) - event.onset_s < BRIEF_S:
         return None
     return _in_time(where)
 
@@ -225,7 +235,7 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
         return [event], []
     found, decision = _weighed(view, event, events, True)
     if found is None:
-        refutable = _total(event) or event.alternatives or not _lands(view, event)
+        refutable = _total(event) or event.alternatives or not _untold(view, event)
         return ([event], []) if refutable else ([], [_opened(event, event.probability)])
     if decision is Decision.SLOW:
         return [_slow(event.onset_s, event.detected_s, event.rotors[0], found)], []
@@ -235,11 +245,14 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
     return ([], [_opened(event, found.claim)]) if decision is Decision.OPEN else ([_named(event, found)], [])
 
 
-def _lands(view: View, event: Event) -> bool:
-    """True for a loss that begins just before a landing, or that is over as it begins."""
+def _untold(view: View, event: Event) -> bool:
+    """True for a loss that the motion after it could not refute, though the log goes on: it begins just before a landing or a tumble, or is
+    over as it begins."""
     if event.end_s is not None and event.end_s <= event.onset_s:
         return True
-    return any(a <= event.onset_s <= b < event.onset_s + SHORTEST_S and view.flight.duration > b + LANDED_S for a, b in view.air)
+    assert view.clear is not None
+    after = view.clear.valid.any(axis=1) & (view.clear.command_time >= event.onset_s)
+    return after.sum() * view.clear.dt < SHORTEST_S and view.flight.duration > event.onset_s + SHORTEST_S + LANDED_S
 
 
 def _total(event: Event) -> bool:

@@ -24,7 +24,8 @@ class Explanation(NamedTuple):
     of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
-    by which it yaws the vehicle in a side force. load: share of the trim of roll and pitch that grows with all thrust."""
+    by which it yaws the vehicle in a side force. push: standard deviation of each component of a torque that turns with the world, swells:
+    its walk, 1 per sqrt(s). load: share of the trim of roll and pitch that grows with all thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -38,6 +39,8 @@ class Explanation(NamedTuple):
     drift: float = 0.0
     lever: float = 0.0
     load: float = 0.0
+    push: float = 0.0
+    swells: float = 0.0
 
 
 class Fit(NamedTuple):
@@ -93,6 +96,12 @@ def span(table: Ticks, B: np.ndarray, learned: Learned, onset_s: float, before_s
     return Span(part, B, y, int(np.searchsorted(part.command_time, onset_s)), learned)
 
 
+def _free(rotors: Sequence[int], n: int) -> tuple[int, int]:
+    """Two rotors, none of these where there are as many."""
+    first, second = sorted(range(n), key=lambda i: i in rotors)[:2]
+    return first, second
+
+
 def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     """The fit of each explanation. The first one decides how far inputs are trusted."""
     n, ticks = where.B.shape[1], where.ticks
@@ -108,11 +117,11 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     rows, others = ENGINE.array(explanations.Explanation, len(them)), ENGINE.array(kalman.Branch, max(len(them) - 1, 1))
     columns = {
         name: np.array([getattr(e, name) for e in them])
-        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load")
+        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load", "push", "swells")
     }
     rows.fill(
         rotors=np.array([sum(1 << i for i in e.rotors) for e in them]), end=np.array([tick(e.end_s) for e in them]),
-        step=np.array([e.step * where.width for e in them]), **columns,
+        carriers=np.array([_free(e.rotors, n) for e in them]), step=np.array([e.step * where.width for e in them]), **columns,
     )  # fmt: skip
     state = ENGINE.new(estimator.Estimator)
     ENGINE.call(explanations.explain, plant, state, noise, len(time), *tables, where.onset, len(them), rows, others)

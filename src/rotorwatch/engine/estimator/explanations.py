@@ -13,7 +13,7 @@ what came before: where it does not, a free wrench, alone or beside the loss, ha
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import REAL, Flags, Real, Reals, Struct, array, copy, exp, local, log
+from rotorwatch.base.compiling.structs import MASK, REAL, Flags, Real, Reals, Struct, array, copy, exp, local, log, sqrt
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.batch import take
 from rotorwatch.engine.estimator.estimator import Estimator
@@ -42,6 +42,11 @@ class Explanation(Struct):
     force: Real = 1.0  # factor of the disturbances
     drift: Real = 0.0  # of the trim in roll and pitch by a centre of mass that moves, hover thrusts per sqrt(s)
     lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
+    push: Real = 0.0  # standard deviation of each component of a torque that turns with the world, as of a force from outside, hover thrusts
+    swells: Real = 0.0  # walk of that torque, hover thrusts per sqrt(s)
+    carriers = array(MASK, 2)  # rotors whose states hold that torque: north and east of the force, as seen at the onset
+    ahead: Real = 1.0  # cosine and sine of the turn since the onset
+    aside: Real = 0.0
     load: Real = 0.0  # share of the trim of roll and pitch that grows with the thrust of all rotors, as that of a centre of mass does
     moved = array(REAL, 2)  # trim of roll and pitch at the onset
     fit: Real = 0.0  # log p
@@ -135,6 +140,9 @@ def _predict(p: Plant, one: Branch, how: Explanation, noise: Noise, again: bool,
         for i in range(p.rotors):
             if (how.rotors & (1 << i)) != 0:
                 one.P[entry(THETA + i, THETA + i)] += how.grows * how.grows * p.dt
+    if t >= begin and t < how.end and how.push > 0.0:
+        for k in range(2):
+            one.P[entry(THETA + how.carriers[k], THETA + how.carriers[k])] += how.swells * how.swells * p.dt
     if t >= onset:
         _stir(p, one, noise, how.force * how.force - 1.0, how.drift)
 
@@ -148,7 +156,10 @@ def _update(p: Plant, e: Estimator, one: Branch, how: Explanation, now: Inputs, 
             _weigh(p, one, how, now, m)
         if how.lever > 0.0:
             _lever(one, how, now, m)
-    if how.turned > 0.0 and settled:
+    if how.push > 0.0 and settled:
+        _turn(how, now.rate[2] * p.dt)
+        _push(p, how, e.rows, m, one, e.seen.gain_share)
+    elif how.turned > 0.0 and settled:
         _yaws(p, how, e.rows, m, one, e.seen.gain_share)
     else:
         one.update(p, e.rows, m, e.seen.gain_share)
@@ -186,6 +197,13 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
         if ends:
             one.forget(p, THETA + i)
             one.active[i] = False
+    for k in range(2):
+        if how.push > 0.0 and (begins or ends):
+            one.forget(p, THETA + how.carriers[k])
+        if how.push > 0.0 and begins:
+            how.ahead = 1.0
+            how.aside = 0.0
+            one.P[entry(THETA + how.carriers[k], THETA + how.carriers[k])] = how.push * how.push
     if begins or ends:
         for a in range(4):
             one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
@@ -219,6 +237,31 @@ def _yaws(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_sh
     for a in range(4):
         for i in range(p.rotors):
             h.h[a][THETA + i] = kept[a][i]
+
+
+def _turn(how: Explanation, angle: Real) -> None:
+    """Turn the heading by a small angle."""
+    ahead = how.ahead - how.aside * angle
+    aside = how.aside + how.ahead * angle
+    size = sqrt(ahead * ahead + aside * aside)
+    how.ahead = ahead / size
+    how.aside = aside / size
+
+
+def _push(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_share: Reals) -> None:
+    """Update an explanation with a force from outside that keeps its direction and its point: its torque, which is that of a force to the
+    right in roll and of one forward in pitch (plant.py), turns against the vehicle's heading."""
+    kept = local(REAL, 4, 2)
+    for k in range(2):
+        for a in range(4):
+            kept[a][k] = h.h[a][THETA + how.carriers[k]]
+            h.h[a][THETA + how.carriers[k]] = 0.0
+        h.h[ROLL][THETA + how.carriers[k]] = how.aside if k == 0 else -how.ahead
+        h.h[PITCH][THETA + how.carriers[k]] = how.ahead if k == 0 else how.aside
+    one.update(p, h, m, gain_share)
+    for k in range(2):
+        for a in range(4):
+            h.h[a][THETA + how.carriers[k]] = kept[a][k]
 
 
 def _weigh(p: Plant, one: Branch, how: Explanation, now: Inputs, m: Measured) -> None:
