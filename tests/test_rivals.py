@@ -14,6 +14,7 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, OVERRIDE, SLOW_RESPONSE
 from rotorwatch.witnesses import near_ground, rivals
+from rotorwatch.witnesses.odds import Decision
 from rotorwatch.witnesses.witness import View
 
 DT, ONSET_S, SECONDS = 0.05, 25.0, 60.0
@@ -98,6 +99,48 @@ def test_what_the_motion_denies_is_no_event(trim):
     kept, open_, warnings = heard(flight(trim=trim), [claim(2)])
     assert not kept and not open_
     assert len(warnings) == 1 and "rotor 2" in warnings[0] and "25.0 s" in warnings[0]
+
+
+def pushed(end=np.inf, rate=0.8):
+    """Ticks of a healthy quadrotor that turns by `rate` rad/s, pushed from ONSET_S to end by a force to the north above its centre."""
+
+    def torque(time):
+        heading = rate * (time - ONSET_S)
+        now = (time > ONSET_S) & (time <= end)
+        return np.outer(now, [0.5, 0.5, 0.0, 0.0]) * np.stack([np.sin(heading), np.cos(heading), heading, heading], axis=1)
+
+    ticks = flight(trim=torque)
+    return replace(ticks, rate=np.outer(np.ones(len(ticks.time)), [0.0, 0.0, rate]))
+
+
+def test_a_push_turns_against_a_vehicle_that_turns():
+    """With the heading it is explained; as a step of the trim, or of a loss, it is not."""
+    ticks = pushed()
+    found, other = (rivals.weigh(view(t), claim(2), ()) for t in (ticks, replace(ticks, rate=-ticks.rate)))
+    assert found is not None and other is not None and found.weighed().none > 0.99
+
+    def ahead(claim):
+        fits = {r.name: r.log_p for r in claim.rows if not r.beside and not r.weak}
+        return fits["push"] - max(fits[name] for name in ("nothing", "step 1", "step 4", "shift"))
+
+    assert ahead(found) > 25.0 and ahead(other) < 0.0
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.8])
+def test_what_passes_when_the_claimed_loss_does_is_no_loss(rate):
+    end = ONSET_S + 12.0
+    found = rivals.weigh(view(pushed(end, rate)), claim(2, end=end), ())
+    assert found is not None and found.decided(found.weighed()) is Decision.DROPPED
+    best = max((r for r in found.rows if not r.weak and not r.beside), key=lambda r: r.log_p)
+    assert best.name.endswith(rivals.PASSED)
+
+
+def test_a_loss_that_a_tumble_hides_stays_open():
+    """Half a second of motion after the onset could not have refuted it, and the log goes on."""
+    ticks = flight(0.3)
+    hidden = ticks.valid & (ticks.time < ONSET_S + 0.5)[:, None]
+    kept, open_, _ = heard(replace(ticks, valid=hidden), [claim(1)])
+    assert not kept and [c.rotors for c in open_] == [(1,)]
 
 
 def test_two_seconds_of_contact_accuse_nobody():
