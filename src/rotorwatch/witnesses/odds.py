@@ -23,11 +23,12 @@ import numpy as np
 from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.engine.events.decisions import CLEAR
 
-# Log weights by the first word of an explanation's name, relative to a loss of one particular rotor; added are
-# "beside" for two at once, which have both their weights, and "claimed" where the rotors are those of a loss that was announced.
+# Log weights by the first word of an explanation's name, relative to a loss of one particular rotor. Added are "beside" for two at once,
+# which have both their weights, "pushed" where a push is one of them, and "claimed" where the rotors are those of an announced loss.
 WEIGHTS: dict[str, float] = {
     "loss": 0.0, "growing": 0.4, "stuck": 0.6, "capped": -3.2, "two": -8.9, "slow": -3.5, "turned": -2.8,
-    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -2.4, "move": -0.5, "wrench": 0.5, "beside": -6.0, "claimed": 1.0,
+    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -2.4, "move": -0.5, "wrench": 0.5,
+    "beside": -4.0, "pushed": -2.0, "claimed": 1.0,
 }  # fmt: skip
 TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
 
@@ -150,7 +151,9 @@ class Comparison:
 
     def weights(self, one: Row) -> tuple[str, ...]:
         """Names in WEIGHTS of what adds to the log weight of a row."""
-        return (one.group, *(("beside", one.beside.partition(" ")[0]) if one.beside else ()), *(("claimed",) if self.claims(one) else ()))
+        other = one.beside.partition(" ")[0]
+        names = [one.group, *(("beside", other) if other else ()), *(("pushed",) if other == "push" else ())]
+        return (*names, "claimed") if self.claims(one) else tuple(names)
 
     def weighed(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> Weighed:
         """The probabilities."""
