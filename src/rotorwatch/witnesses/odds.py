@@ -26,8 +26,8 @@ from rotorwatch.engine.events.decisions import CLEAR
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor. Added are "beside" for two at once,
 # which have both their weights, "pushed" where a push is one of them, and "claimed" where the rotors are those of an announced loss.
 WEIGHTS: dict[str, float] = {
-    "loss": 0.0, "growing": 0.4, "stuck": 0.6, "capped": -3.2, "two": -8.9, "slow": -3.5, "turned": -2.8,
-    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -2.4, "move": -0.5, "wrench": 0.5,
+    "loss": 0.0, "growing": 0.4, "stuck": 0.6, "capped": -3.2, "slow": -3.5, "turned": -2.8,
+    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -4.0, "move": -0.5, "wrench": 0.5,
     "beside": -4.0, "pushed": -2.0, "claimed": 1.0,
 }  # fmt: skip
 TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)

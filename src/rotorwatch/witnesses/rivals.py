@@ -9,7 +9,7 @@ with the loss than without.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,31 +57,30 @@ ELSE = (
     *(Rival(f"move 0.04, lever {lever:g}", Explanation(drift=0.04, lever=lever, load=1.0)) for lever in (0.0, 14.0)),
     Rival("wrench 3", Explanation(step=1.0, force=3.0)),
 )  # fmt: skip
-PASSES, PASSED = ("step", "push", "wrench"), " passes"  # of these: what may be over when the change is
+PASSES, PASSED = ("step 1", "push", "push grows"), " passes"  # of these: what may be over when the change is
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
 GIVES = 2.0  # of a rotor that is stuck: standard deviation of its thrust, hover thrusts
-CAPS = (0.5, 0.75, 0.9)  # quantiles of a rotor's commands that may be its cap
+CAP = 0.75  # quantile of a rotor's commands that may be its cap
 LATES_S = (0.08, 0.2)  # of a slow motor
 # Of the scan: evidence beyond any other rotor's, twice in nats; by which the onset's may be lower; lag; least information.
 SUSPECTS, LATELY, SLOWS_S, INFORMATION = 60.0, 15.0, 0.1, 20.0
 LAGS_S = (0.0, 0.03, 0.06, 0.12)  # of all motors, beyond the lag that the ticks assume
 
 
-def rivals(n: int, claim: tuple[int, ...], end_s: float, caps: Mapping[float, float] | None = None) -> list[Rival]:
+def rivals(n: int, claim: tuple[int, ...], end_s: float, cap: float = 0.0) -> list[Rival]:
     """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of: it
-    comes first; caps: quantile -> thrust that may be the most that they give, hover thrusts."""
-    rest = [Rival("nothing", Explanation()), *ELSE, *(_passing(r, end_s) for r in ELSE if r.group in PASSES and end_s < np.inf)]
+    comes first; cap: thrust that may be the most that they give [hover thrusts], 0: none."""
+    rest = [Rival("nothing", Explanation()), *ELSE, *(_passing(r, end_s) for r in ELSE if r.name in PASSES and end_s < np.inf)]
     rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
     rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
     singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
     if not claim:
         return [*rest, *singles]
     own = _losses(claim, end_s)
-    own += [Rival(f"capped {q:g}", Explanation(claim, end_s, cap=cap)) for q, cap in (caps or {}).items()]
-    pairs = [Rival("two losses", Explanation((*claim, i), end_s)) for i in range(n) if len(claim) == 1 and i not in claim]
-    return [*own, *rest, *singles, *pairs]
+    own += [Rival("capped", Explanation(claim, end_s, cap=cap))] if cap else []
+    return [*own, *rest, *singles]
 
 
 def _passing(one: Rival, end_s: float) -> Rival:
@@ -120,8 +119,8 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     where = _span(view, event, events, named, end_s)
     if where is None:
         return None
-    highest = where.ticks.thrust[where.onset :, list(claim)].max(axis=1) if claim else np.zeros(0)
-    them = rivals(view.B.shape[1], claim, end_s, {q: quantile(highest, q) for q in CAPS} if claim else None)
+    cap = quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAP) if claim else 0.0
+    them = rivals(view.B.shape[1], claim, end_s, cap)
     also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
     fits, said = compare(where, [r.how for r in them]), tuple(map(float, view.said(event.onset_s)))
