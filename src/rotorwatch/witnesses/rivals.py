@@ -19,8 +19,8 @@ from rotorwatch.base.arrays import quantile
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.estimator.hypotheses import CLEAR as CLEAR_NATS
 from rotorwatch.engine.estimator.plant import ANSWER_S
-from rotorwatch.engine.events.decisions import CLEAR
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
@@ -149,14 +149,11 @@ def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s:
 
 def _in_time(where: Span) -> Span:
     """The span with its commands delayed by the lag of all motors that explains the motion before the change best."""
-    slow = [where.ticks] + [lagged(where.ticks, where.B, lag) for lag in LAGS_S[1:]]
-    return max((replace(where, ticks=t, y=where.y + t.wrench - where.ticks.wrench) for t in slow), key=_before)
-
-
-def _before(where: Span) -> float:
-    """Evidence of the motion before the change, of its first second none."""
-    early = replace(where, ticks=where.ticks.part(slice(0, where.onset)), y=where.y[: where.onset], onset=round(1.0 / where.ticks.dt))
-    return compare(early, [Explanation()])[0].log_p
+    early = replace(where, onset=round(1.0 / where.ticks.dt))
+    before = [early] + [replace(early, ticks=lagged(where.ticks, where.B, lag)) for lag in LAGS_S[1:]]
+    before = [replace(s, y=s.y + s.ticks.wrench - where.ticks.wrench) for s in before]
+    fits = [compare(replace(s, ticks=s.ticks.part(slice(0, where.onset)), y=s.y[: where.onset]), [Explanation()])[0].log_p for s in before]
+    return replace(before[int(np.argmax(fits))], onset=where.onset)
 
 
 def _missing(table: Ticks, events: Sequence[Event], but: Sequence[int] = ()) -> np.ndarray:
@@ -190,32 +187,36 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
 
 
 def _over(view: View, event: Event, events: Sequence[Event]) -> Event:
-    """The event; one that lasts ends where the estimator took a change for a disturbance, the likeliest fault being the recovery of its
-    rotor, and the motion says so. Commands pass the lag of all motors that explains the motion before best: they fall in some hundredths
-    of a second, and without the lag the end seems larger than the loss. A disturbance that cancels the loss pays for it by its width."""
+    """The event; one that lasts ends where the estimator took a change for a disturbance, the likeliest fault being its rotor's recovery,
+    and the motion after it has more evidence for the end. With the loss, as in `_ended`, something else must have cancelled it: a step of
+    the trim pays for that by its width."""
     table, out = view.clear, view.out
     if event.kind != LOSS or event.end_s is not None or event.alternatives or len(event.rotors) > 1 or out is None or table is None:
         return event
-    known, rest, learned = list_hypotheses(view.B.shape[1]), [e for e in events if e is not event], view.learned
-    assert learned is not None
+    known, rest, slow = list_hypotheses(view.B.shape[1]), [e for e in events if e is not event], lagged(table, view.B, ANSWER_S)
     recovery = next(h for h, who in enumerate(known.rotors) if known.kinds[h] == "recovery" and who == (event.rotors[0] - 1,))
     changes = np.flatnonzero(out.announced & (table.time > event.detected_s))
     for k in changes[np.where(known.fault, out.log_odds[changes], -np.inf).argmax(axis=1) == recovery]:
-        end_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
-        tried = []
-        for lag in LAGS_S:
-            slow = lagged(table, view.B, lag) if lag else table
-            told = [_missing(slow, [*rest, one]) for one in (replace(event, end_s=end_s), event)]
-            tried.append([span(slow, view.B, learned, end_s, BEFORE_S, end_s + OVER_S, missing) for missing in told])
-        ends, lasts = max(tried, key=lambda both: _before(both[1]))
-        if end_s > event.detected_s and (len(ends.ticks.time) - ends.onset) * table.dt >= SHORTEST_S:
-            fits = [np.array([fit.log_p for fit in compare(where, [Explanation(), *(r.how for r in ELSE)])]) for where in (ends, lasts)]
-            beside = [WEIGHTS["loss"], *[WEIGHTS["loss"] + WEIGHTS["beside"]] * len(ELSE)]
-            alone = [WEIGHTS[r.name.partition(" ")[0]] for r in (Rival("nothing", Explanation()), *ELSE)]
-            logs = [np.logaddexp.reduce(np.array(w) + TEMPER * fit) for w, fit in zip((beside, alone), fits)]
-            if logs[0] > logs[1] + np.log(CLEAR):
-                return replace(event, end_s=end_s)
+        over = replace(event, end_s=float(table.command_time[max(k - round(out.onset[k]), 0)]))
+        if over.end_s > event.detected_s and _log_odds(view, over.end_s, *(_missing(slow, [*rest, e]) for e in (over, event))) > CLEAR_NATS:
+            return over
     return event
+
+
+def _log_odds(view: View, end_s: float, without: np.ndarray, lasting: np.ndarray) -> float:
+    """Log-odds of the end of a loss at end_s, alone or beside what else moves a vehicle, against a loss that lasts, alone or beside the
+    same. without, lasting (T, n): thrust that losses take then [hover thrusts]."""
+    assert view.clear is not None and view.learned is not None
+    ends = [WEIGHTS["loss"], *(WEIGHTS["loss"] + WEIGHTS["beside"] for _ in ELSE)]
+    lasts = [WEIGHTS["nothing"], *(WEIGHTS[r.name.partition(" ")[0]] for r in ELSE)]
+    logs = []
+    for prior, missing in ((ends, without), (lasts, lasting)):
+        where = span(view.clear, view.B, view.learned, end_s, BEFORE_S, end_s + OVER_S, missing)
+        if (len(where.ticks.time) - where.onset) * view.clear.dt < SHORTEST_S:
+            return -np.inf
+        fits = compare(where, [Explanation(), *(r.how for r in ELSE)])
+        logs.append(np.logaddexp.reduce([w + TEMPER * fit.log_p for w, fit in zip(prior, fits)]))
+    return float(logs[0] - logs[1])
 
 
 def _hear(view: View, events: Events) -> Events:
