@@ -191,14 +191,15 @@ def _over(view: View, event: Event, events: Sequence[Event]) -> Event:
     and the motion after it has more evidence for the end. With the loss, as in `_ended`, something else must have cancelled it: a step of
     the trim pays for that by its width."""
     table, out = view.clear, view.out
-    if event.kind != LOSS or event.end_s is not None or event.alternatives or len(event.rotors) > 1 or out is None or table is None:
+    if event.kind != LOSS or event.end_s is not None or event.alternatives or len(event.rotors) != 1 or out is None or table is None:
         return event
     known, rest, slow = list_hypotheses(view.B.shape[1]), [e for e in events if e is not event], lagged(table, view.B, ANSWER_S)
     recovery = next(h for h, who in enumerate(known.rotors) if known.kinds[h] == "recovery" and who == (event.rotors[0] - 1,))
     changes = np.flatnonzero(out.announced & (table.time > event.detected_s))
     for k in changes[np.where(known.fault, out.log_odds[changes], -np.inf).argmax(axis=1) == recovery]:
-        over = replace(event, end_s=float(table.command_time[max(k - round(out.onset[k]), 0)]))
-        if over.end_s > event.detected_s and _log_odds(view, over.end_s, *(_missing(slow, [*rest, e]) for e in (over, event))) > CLEAR_NATS:
+        end_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
+        over, told = replace(event, end_s=end_s), [*rest, event]
+        if end_s > event.detected_s and _log_odds(view, end_s, _missing(slow, [*rest, over]), _missing(slow, told)) > CLEAR_NATS:
             return over
     return event
 
