@@ -205,18 +205,16 @@ def _over(view: View, event: Event, events: Sequence[Event]) -> Event:
 
 
 def _log_odds(view: View, end_s: float, without: np.ndarray, lasting: np.ndarray) -> float:
-    """Log-odds of the end of a loss at end_s, alone or beside what else moves a vehicle, against a loss that lasts, alone or beside the
-    same. without, lasting (T, n): thrust that losses take then [hover thrusts]."""
+    """Log-odds of the end of a loss at end_s against a loss that lasts, alone or beside what else moves a vehicle. without, lasting (T, n):
+    thrust that losses take then [hover thrusts]."""
     assert view.clear is not None and view.learned is not None
-    ends = [WEIGHTS["loss"], *(WEIGHTS["loss"] + WEIGHTS["beside"] for _ in ELSE)]
-    lasts = [WEIGHTS["nothing"], *(WEIGHTS[r.name.partition(" ")[0]] for r in ELSE)]
     logs = []
-    for prior, missing in ((ends, without), (lasts, lasting)):
+    for rows, missing in (((Rival("loss", Explanation()),), without), ((Rival("nothing", Explanation()), *ELSE), lasting)):
         where = span(view.clear, view.B, view.learned, end_s, BEFORE_S, end_s + OVER_S, missing)
         if (len(where.ticks.time) - where.onset) * view.clear.dt < SHORTEST_S:
             return -np.inf
-        fits = compare(where, [Explanation(), *(r.how for r in ELSE)])
-        logs.append(np.logaddexp.reduce([w + TEMPER * fit.log_p for w, fit in zip(prior, fits)]))
+        fits = compare(where, [r.how for r in rows])
+        logs.append(np.logaddexp.reduce([WEIGHTS[r.name.partition(" ")[0]] + TEMPER * fit.log_p for r, fit in zip(rows, fits)]))
     return float(logs[0] - logs[1])
 
 
