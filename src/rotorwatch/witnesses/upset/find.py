@@ -118,13 +118,13 @@ def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) 
     if got is None:
         return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
     window, offset, onsets, at_take_off, ground = got
-    because = _kept(window, at_take_off)
-    if because and not left.falls:
-        return Judged(left, "unknown", (), np.empty(0), None, left.onset, (because,))
     found, probability = explain(window, vehicle.effectiveness(), offset, onsets, at_take_off, battery.sagged(flight, left.onset))
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    held_by = _kept(window, at_take_off)
+    if held_by and cause in ("rotor", ORDER, "knock", "unknown"):
+        return Judged(left, "unknown", (), np.empty(0), None, left.onset, (held_by,))
     if cause == "rotor":  # residuals of brisk flight may have strayed before
         onset = min(found[0].onset, left.onset)
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
