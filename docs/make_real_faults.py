@@ -113,9 +113,11 @@ CAUSES = """
 ## What goes wrong, and why
 
 - Cuts up to 20 mm of the quadrotor's propellers change the balance of commands no more than healthy vehicles differ: alone they are
-  `healthy` within a bound. Those of 25 mm are `ambiguous`, rotor 1 first.
-- OpenHA: both losses are found, and the end of the second. The end of the first one is taken for a torque from outside (odds of 25 to 1
-  over a recovery; without an accelerometer nothing measures the thrust), so rotor 1 stays accused to the end of the log, for 85 s.
+  `healthy` within a bound, which is above the loss. Those of 25 mm are `ambiguous`, rotor 1 first.
+- Cuts of 10 mm: a tenth less of rotor 1 moves the balance of roll, pitch and yaw by 0.03 of an arm length each. Flights with good
+  propellers differ by 0.06 in pitch; in straight lines the cut ones differ from them by 0.07 in pitch and 0.06 in yaw, the other way.
+- OpenHA: the end of the first loss is found when the flight is over. In flight it is taken for a torque from outside: commands fall faster
+  than the motors, and the end seems larger than the loss.
 - The rotors switched off: 10 Hz of commands, and seconds of flight before it; where a healthy rotor is accused, two more were switched off.
 - A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty.
 - Telemetry of outputs every half second (adaptive-IGE-ardupilot), and FPV flights without a calm second, end as `inconclusive`.

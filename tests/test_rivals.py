@@ -7,6 +7,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.bindings.explaining import Explanation, compare, lagged, span
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.motion.ground_contact import on_ground
 from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
@@ -165,6 +166,20 @@ def test_every_rotors_loss_is_tried_beside_the_likeliest_disturbances():
     assert {r.how.end_s for r in rivals.beside(4, (0,), 35.0, THEM, np.zeros(len(THEM))) if r.name == "loss" and r.how.rotors != (0,)} == {
         np.inf
     }
+
+
+@pytest.mark.parametrize("end", [45.0, None])
+def test_a_change_that_was_taken_for_a_disturbance_ends_a_loss_only_where_the_motion_says_so(end):
+    """A lasting loss with a step of the trim that cancels a third of it is not over."""
+    step = None if end else lambda time: np.outer(time > 45.0, -0.1 * QUAD[:, 0])
+    ticks = flight(0.3, end=end or np.inf, trim=step)
+    seen = view(ticks)
+    known, k = list_hypotheses(4), int(np.searchsorted(ticks.time, 46.0))
+    odds, told = seen.out.log_odds.copy(), np.zeros(len(ticks.time), bool)
+    odds[k, known.kinds.index("recovery")], told[k] = 99.0, True
+    seen.out = seen.out._replace(log_odds=odds, announced=told, onset=np.full(len(told), 1.0 / ticks.dt))
+    (event,) = rivals.WITNESSES[0].hear(seen, (replace(claim(1), loss=(0.3,)),))
+    assert event.end_s is None if end is None else abs(event.end_s - end) < 0.5
 
 
 def test_a_slow_motor_elsewhere_is_no_loss_here():

@@ -130,6 +130,32 @@ def test_a_loss_of_control_is_found_however_many_samples_are_looked_at_at_a_time
     assert loss_of_control.find(flight, air) == whole
 
 
+@pytest.mark.parametrize(
+    ("outputs", "jitter", "rate", "lasts_s"),
+    [((1232, 1200, 1150, 1245), 0.0, 0.5, 1.5), ((1258, 1180, 1150, 1250), 0.0, 0.8, 1.0), ((1250, 1550, 1250, 1250), 40.0, -0.15, 6.0)],
+    ids=["tilted by hand", "leaning", "an estimate that drifts"],
+)
+def test_a_vehicle_on_a_stand_accuses_no_rotor(outputs, jitter, rate, lasts_s):
+    """Outputs far below hover's while it tilts; or an attitude that drifts by a gyro's bias while it stands still."""
+    time, draw = np.arange(0.0, 12.0, 0.02), np.random.default_rng(0)
+    turning = rate * ((time > 6.0) & (time < 6.0 + lasts_s))
+    roll, none = np.cumsum(turning) * 0.02, np.zeros(time.size)
+    motors = np.where(time[:, None] > 1.0, outputs + draw.normal(0.0, jitter, (time.size, 4)), 1000.0)
+    signals = {
+        "motors": Signal(time, motors, ("1", "2", "3", "4"), "us"),
+        "gyro": Signal(
+            time, np.column_stack([turning, none, none]) + draw.normal(0.0, 0.005, (time.size, 3)), ("p", "q", "r"), "rad/s", "FRD"
+        ),
+        "accel": Signal(time, -G0 * np.column_stack([none, np.sin(roll), np.cos(roll)]), ("x", "y", "z"), "m/s^2", "FRD"),
+        "attitude": Signal(time, np.column_stack([np.cos(roll / 2), np.sin(roll / 2), none, none]), ("w", "x", "y", "z"), "1", "FRD->NED"),
+        "attitude_wanted": Signal(time, np.tile([1.0, 0, 0, 0], (time.size, 1)), ("w", "x", "y", "z"), "1", "FRD->NED"),
+    }
+    parameters = {"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_SPIN_ARM": 0.1}
+    diagnosis = diagnose(Flight("model", "ArduPilot", signals, 12.0, parameters=parameters), QUAD)
+    assert diagnosis.verdict == "inconclusive"
+    assert not of(diagnosis, "loss_of_effectiveness") and all(not e.rotors for e in of(diagnosis, "loss_of_control"))
+
+
 def test_control_that_comes_back_at_once_was_not_lost():
     assert loss_of_control.find(rolled(still(), "attitude", 5.0, 5.7, 80.0), [(0.0, 10.0)]) == ()
 

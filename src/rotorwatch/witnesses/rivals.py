@@ -18,13 +18,15 @@ from rotorwatch.answer.wording import rotors
 from rotorwatch.base.arrays import quantile
 from rotorwatch.engine.bindings import event_rows, residual_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
+from rotorwatch.engine.estimator.hypotheses import CLEAR as CLEAR_NATS
 from rotorwatch.engine.estimator.plant import ANSWER_S
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
-from rotorwatch.witnesses.odds import SCAN, Comparison, Decision, Rival, Weighed, row
+from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, row
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 register(
@@ -193,10 +195,43 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     return event if logs[0] >= logs[1] else replace(event, end_s=None)
 
 
+def _over(view: View, event: Event, events: Sequence[Event]) -> Event:
+    """The event; one that lasts ends where the estimator took a change for a disturbance, the likeliest fault being its rotor's recovery,
+    and the motion after it has more evidence for the end. With the loss, as in `_ended`, something else must have cancelled it: a step of
+    the trim pays for that by its width."""
+    table, out = view.clear, view.out
+    if event.kind != LOSS or event.end_s is not None or event.alternatives or len(event.rotors) != 1 or out is None or table is None:
+        return event
+    known, rest, slow = list_hypotheses(view.B.shape[1]), [e for e in events if e is not event], lagged(table, view.B, ANSWER_S)
+    recovery = next(h for h, who in enumerate(known.rotors) if known.kinds[h] == "recovery" and who == (event.rotors[0] - 1,))
+    changes = np.flatnonzero(out.announced & (table.time > event.detected_s))
+    for k in changes[np.where(known.fault, out.log_odds[changes], -np.inf).argmax(axis=1) == recovery]:
+        end_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
+        over, told = replace(event, end_s=end_s), [*rest, event]
+        if end_s > event.detected_s and _log_odds(view, end_s, _missing(slow, [*rest, over]), _missing(slow, told)) > CLEAR_NATS:
+            return over
+    return event
+
+
+def _log_odds(view: View, end_s: float, without: np.ndarray, lasting: np.ndarray) -> float:
+    """Log-odds of the end of a loss at end_s against a loss that lasts, alone or beside what else moves a vehicle. without, lasting (T, n):
+    thrust that losses take then [hover thrusts]."""
+    assert view.clear is not None and view.learned is not None
+    logs = []
+    for rows, missing in (((Rival("loss", Explanation()),), without), ((Rival("nothing", Explanation()), *ELSE), lasting)):
+        where = span(view.clear, view.B, view.learned, end_s, BEFORE_S, end_s + OVER_S, missing)
+        if (len(where.ticks.time) - where.onset) * view.clear.dt < SHORTEST_S:
+            return -np.inf
+        fits = compare(where, [r.how for r in rows])
+        logs.append(np.logaddexp.reduce([WEIGHTS[r.name.partition(" ")[0]] + TEMPER * fit.log_p for r, fit in zip(rows, fits)]))
+    return float(logs[0] - logs[1])
+
+
 def _hear(view: View, events: Events) -> Events:
     """The events and, in `view.open`, the open claims, as the comparison leaves them."""
     if not (view.hovers and view.default) or view.learned is None or view.table is None:
         return events
+    events = tuple(_over(view, e, events) for e in events)
     events = tuple(_ended(view, e, events) for e in events)
     kept: list[Event] = []
     open_: list[Event] = []

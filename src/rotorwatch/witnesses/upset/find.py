@@ -29,6 +29,9 @@ SHOWS_S = 0.5  # before control is lost: later onsets are no cause
 CALM_S = 0.4  # of controlled flight before, to estimate the offset of the torques
 CALM_SD, UNKNOWN_SD = 0.1, 0.15
 FIRST_S = 3.0  # after lift-off: a fault that shows now was present on the ground
+# Hover thrusts: a vehicle on the ground is held or pushed while no rotor gives more. To tip it about its gear, two rotors have to lift its
+# weight by twice the lever of its centre of mass, or more.
+TIPS = 0.5
 STIRS = 2.0, 0.2  # rad/s^2, rad/s: the vehicle moves
 LIES = 0.15, 1.5  # rad/s, rad/s^2: below both for three ticks, a vehicle that has turned over lies on the ground
 STOPS_S, TURNED_OVER = 0.5, 1.0  # s within which the ground stops it; rad/s that it stops
@@ -119,6 +122,9 @@ def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) 
     healthy = next(e for e in found if e.kind == "healthy")
     onset = left.onset if left.falls else _strays(window, healthy.residual, left.onset)
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
+    held_by = _kept(window, at_take_off)
+    if held_by and cause in ("rotor", ORDER, "knock", "unknown"):
+        return Judged(left, "unknown", (), np.empty(0), None, left.onset, (held_by,))
     if cause == "rotor":  # residuals of brisk flight may have strayed before
         onset = min(found[0].onset, left.onset)
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
@@ -126,6 +132,14 @@ def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) 
     if left.impact is None and ground is not None:
         left = left._replace(impact=ground, ground=ground if left.end is None else None)
     return Judged(left, cause, found, probability, window, onset, evidence)
+
+
+def _kept(window: Window, at_take_off: bool) -> str:
+    """What shows that something else than its rotors holds the vehicle, else nothing: on a bench or a stand no balance of torques holds."""
+    turned = window.rate[window.torque_ok.all(axis=1)]
+    if len(turned) and np.ptp(turned, axis=0).max() < loss_of_control.RESTS_RAD_S:
+        return "it did not turn"
+    return "its rotors gave too little thrust to tip it over" if at_take_off and window.thrust.max() < TIPS else ""
 
 
 def _cause(
