@@ -40,7 +40,10 @@ def flown(claims_=(), faults=(), kind="", events=()):
 
 def test_probabilities_are_weights_times_evidence():
     logs = np.array([2.0, 1.0, 0.0, -1.0, 3.0, 1.5])
-    more = [(odds.WEIGHTS["beside"] + odds.WEIGHTS[other.split()[0]] if other else 0.0) + (odds.WEIGHTS["claimed"] if 0 in who else 0.0) for _, other, who in NAMES]
+    more = [
+        (odds.WEIGHTS["beside"] + odds.WEIGHTS[other.split()[0]] if other else 0.0) + (odds.WEIGHTS["claimed"] if 0 in who else 0.0)
+        for _, other, who in NAMES
+    ]
     weights = np.array(more) + [odds.WEIGHTS[name.split()[0]] for name, *_ in NAMES]
     share = np.exp(weights + odds.TEMPER * logs)
     share /= share.sum()

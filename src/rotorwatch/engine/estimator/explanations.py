@@ -42,7 +42,7 @@ class Explanation(Struct):
     force: Real = 1.0  # factor of the disturbances
     drift: Real = 0.0  # of the trim in roll and pitch by a centre of mass that moves, hover thrusts per sqrt(s)
     lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
-    push: Real = 0.0  # standard deviation of each component of a torque that turns with the world, as of a force from outside, hover thrusts
+    push: Real = 0.0  # standard deviation of both parts of a torque that turns with the world, by a force from outside, hover thrusts
     swells: Real = 0.0  # walk of that torque, hover thrusts per sqrt(s)
     carriers = array(MASK, 2)  # rotors whose states hold that torque: north and east of the force, as seen at the onset
     ahead: Real = 1.0  # cosine and sine of the turn since the onset
