@@ -120,7 +120,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "witnesses/null_space.py": ("excitation",),
     "witnesses/witness.py": ("own_witness",),
     "engine/events/losses.py": ("hypotheses", "announcement", "events"),
-    "engine/estimator/known.py": ("limits",),
+    "rotorwatch_lab/experiments/known_losses.py": ("limits", "plant"),
     "engine/estimator/*.py": ("default_estimator", "engine"),
     "rotorwatch_lab/estimators/__init__.py": ("architecture",),
     "rotorwatch_lab/estimators/akf.py": ("axkf",),
