@@ -21,6 +21,7 @@ from rotorwatch.engine.estimator.plant import DRAG
 from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.tick_table import GROUND, READY_S
 from rotorwatch.errors import RotorwatchError
+from rotorwatch_lab.experiments import limits
 
 MEAN_S, BLOCK_S, LEAST_S, TURNS = 5.0, 0.5, 30.0, 3.0
 
@@ -32,7 +33,7 @@ def measured(table, B) -> tuple[float, float, float] | None:
     flown = (table.mode > GROUND) & valid[:, 2] & (np.abs(table.rate).max(axis=1) < TURNS)
     if table.side is None or not block or flown.sum() * table.dt < LEAST_S:
         return None
-    drag = program.balance(u, program.steps(table.dt, B).plant)[1].sum(axis=1) / DRAG
+    drag = limits.balance(u, program.steps(table.dt, B).plant)[1].sum(axis=1) / DRAG
     window = np.ones(round(MEAN_S / table.dt)) / round(MEAN_S / table.dt)
     rows = [x - np.convolve(x, window, "same") for x in (y[:, 2], -drag, u[:, n + 2], u[:, n + 6])]
     blocks = np.stack(rows)[:, flown][:, : flown.sum() // block * block]

@@ -32,11 +32,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, befor
 STAGES = {
     "imports": ("<frozen importlib",),
     "reading": ("/logs/", "/gathering.py"),
-    "airborne": ("/engine/motion/airborne.py",),
+    "airborne": ("/engine/motion/air_spans.py",),
     "mixer": ("/engine/motion/",),
-    "estimator": ("/engine/diagnoser.py", "/engine/bindings/"),
+    "estimator": ("/engine/",),
     "witnesses": ("/witnesses/", "/detectors/"),
-    "answer": ("/answer/", "/diagnose.py", "/report/", "/diagnose_many.py", "/airframes/"),
+    "answer": ("/answer/", "/case/", "/diagnose.py", "/report/", "/diagnose_many.py", "/airframes/"),
 }
 OPENERS = {".xz": lzma.open, ".gz": gzip.open, ".bz2": bz2.open}
 EVERY_S = 1e-3

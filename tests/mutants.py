@@ -56,6 +56,8 @@ PARTS: dict[str, tuple[tuple[str, ...], float]] = {
 # Tests of a file besides tests/test_<its name>.py: the ones that fail soonest first.
 NAMED: dict[str, tuple[str, ...]] = {
     "rotorwatch_lab/simulation/prepare.py": ("simulate",),
+    "rotorwatch_lab/planning/question.py": ("excitation_response",),
+    "rotorwatch_lab/published/origin.py": ("plugins", "benchmark"),
     "rotorwatch_lab/control/certified.py": ("closed_loop",),
     "logs/container.py": ("logs_open",),
     "logs/lone_values.py": ("plausible",),
@@ -120,7 +122,7 @@ NAMED: dict[str, tuple[str, ...]] = {
     "witnesses/null_space.py": ("excitation",),
     "witnesses/witness.py": ("own_witness",),
     "engine/events/losses.py": ("hypotheses", "announcement", "events"),
-    "engine/estimator/known.py": ("limits",),
+    "rotorwatch_lab/experiments/known_losses.py": ("limits", "plant"),
     "engine/estimator/*.py": ("default_estimator", "engine"),
     "rotorwatch_lab/estimators/__init__.py": ("architecture",),
     "rotorwatch_lab/estimators/akf.py": ("axkf",),

@@ -10,7 +10,7 @@ import pytest
 import rotorwatch as rw
 from agreement import walk
 from conftest import hexa_diagnosis, hexa_event, hexa_trace
-from rotorwatch.engine.bindings import residual_evidence
+from rotorwatch.engine.bindings import unexplained_evidence
 from test_conclusion import whole
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
@@ -141,7 +141,7 @@ def random_answer(seed):
         named = suspects[:1] if verdict in ("fault", "ambiguous") else ()
         causes = {"fault": (named,), "ambiguous": (named, suspects, ())}.get(verdict, ())
         compared = whole(verdict, named, float(rng.uniform(0.1, 0.6)), causes) | {"flights": 2, "common": 0.05}
-    spells = (residual_evidence.claim((int(rng.integers(1, 7)),), 40.0, 44.0),) if events and rng.random() < 0.2 else ()
+    spells = (unexplained_evidence.claim((int(rng.integers(1, 7)),), 40.0, 44.0),) if events and rng.random() < 0.2 else ()
     return hexa_diagnosis(
         events=tuple(events),
         whole_flight=compared,

@@ -9,7 +9,7 @@ from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer import from_takeoff
 from rotorwatch.answer.conclusion import Evidence, conclude, main_event
 from rotorwatch.answer.wording import up_to
-from rotorwatch.engine.bindings import residual_evidence
+from rotorwatch.engine.bindings import unexplained_evidence
 from rotorwatch.engine.motion import trust
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
@@ -113,7 +113,7 @@ def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehic
         ({"population": population("healthy")}, True),
         ({"population": population("ambiguous", (3,), 0.3)}, True),
         ({"population": population("fault", (3,), 0.7)}, False),
-        ({"population": population("ambiguous", (3,), 0.3), "evidence": (residual_evidence.claim((3,), 20.0, 25.0),)}, False),
+        ({"population": population("ambiguous", (3,), 0.3), "evidence": (unexplained_evidence.claim((3,), 20.0, 25.0),)}, False),
         ({"events": (hexa_event(alternatives=((4,),)),)}, False),
     ],
 )
@@ -219,7 +219,7 @@ def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, told):
 
 
 def test_a_step_that_stayed_names_its_rotors_with_what_they_may_have_lost():
-    spell = residual_evidence.claim((5, 2), 40.0, 60.0, ((0.18, 0.26), (0.17, 0.25)))
+    spell = unexplained_evidence.claim((5, 2), 40.0, 60.0, ((0.18, 0.26), (0.17, 0.25)))
     end = conclude(Evidence((), 6, hidden=[0.16] * 6, judged_s=60.0, claims=(spell,)))
     lost = "rotor 5 had lost 18–26 % or rotor 2 had lost 17–25 % of thrust"
     assert end.verdict == "ambiguous" and f"since 40.00 s the vehicle has flown as if {lost}" in end.reason
@@ -230,7 +230,7 @@ def test_a_step_that_stayed_names_its_rotors_with_what_they_may_have_lost():
 
 
 def test_evidence_that_no_event_explains_makes_its_rotors_suspect_and_is_said():
-    diagnosis = hexa_diagnosis(evidence=(residual_evidence.claim((5,), 40.0, 44.0),))
+    diagnosis = hexa_diagnosis(evidence=(unexplained_evidence.claim((5,), 40.0, 44.0),))
     assert statuses(diagnosis)[5] == "suspect" and diagnosis.rotors[4].interval == (0.0, 1.0)
     assert "rotor 5" in diagnosis.reason and any("rotor 5" in a for a in diagnosis.advice)
 

@@ -30,6 +30,7 @@ from rotorwatch.engine.estimator.plant import ANSWER_S, B3, BUILT_SD, BURST_S, P
 from rotorwatch.engine.estimator.plausibility import torque_free
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
+from rotorwatch_lab.experiments import limits
 
 DT = 0.05
 HEXA = airframes.named("ardupilot-hexa-x").effectiveness()
@@ -95,7 +96,7 @@ class Method:
 
     def drag(self, u):
         """(T, n) yaw that each rotor's drag makes."""
-        return program.balance(u, self.usual)[1]
+        return limits.balance(u, self.usual)[1]
 
 
 make = cache(Method)

@@ -14,6 +14,7 @@ from rotorwatch.stats.tails import normal_cdf
 from rotorwatch.witnesses import excitation_response
 from rotorwatch_lab.campaign import excitation_flights
 from rotorwatch_lab.control import excitation
+from rotorwatch_lab.planning.question import suspects
 
 B = airframes.named("px4-hexa-x").effectiveness()
 N = excitation.null_space(B)
@@ -155,7 +156,7 @@ def test_a_rotor_is_suspected_where_it_leaves_no_more_than_four_sd_of_trim_unexp
     apart = apart - column * (column @ apart) / (column @ column)  # what no loss of rotor 3 makes
     change = B[:, 2] * 0.4 + sd * left * apart / np.linalg.norm(apart)
     out.biases[table.time > 7.0] = change
-    found = excitation_response.suspects(carry, out, table, B)
+    found = suspects(carry, out, table, B)
     assert ((2,) in found) == suspected
     if suspected:
         np.testing.assert_allclose(found[(2,)], 0.4 * np.eye(6)[2], atol=1e-9)

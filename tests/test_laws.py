@@ -25,6 +25,7 @@ from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
 from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
 from rotorwatch_lab.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch_lab.estimators.ekf import EKF
+from rotorwatch_lab.experiments import limits
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 DT, TICKS = 0.02, 220
@@ -802,7 +803,7 @@ def test_default_is_the_kalman_filter_while_nothing_is_suspected():
         for k in range(TICKS):
             steps.run(u[k : k + 1], y[k : k + 1], valid[k : k + 1])
             kept.append(steps.learned)
-        h, _ = program.balance(u, steps.plant)
+        h, _ = limits.balance(u, steps.plant)
     states, covariances, learned = (np.stack(column) for column in zip(*kept, strict=True))
     flying, before = slice(TAKE_OFF, TICKS), learned[TAKE_OFF - 1 : -1]  # what a tick works with was known before it
     grows, Q = [*(1.0 - np.exp(-0.1 / np.array(TAU))), 0.05], np.zeros((TICKS - TAKE_OFF, THETA))

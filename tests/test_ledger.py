@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from conftest import hexa_event, trials
 from rotorwatch import airframes
 from rotorwatch.answer import from_takeoff, ledger, unseen
-from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings import event_rows, unexplained_evidence
 from rotorwatch.engine.bindings.event_rows import Report
 from rotorwatch.engine.motion.overrides import Override
 from rotorwatch.flight.diagnosis import NO_SOURCE
@@ -123,7 +123,7 @@ def test_outputs_that_left_together_are_the_logs_and_explain_losses():
     assert merged(*claims, loss(20.5)).events == () and merged(loss(20.5)).events == (loss(20.5),)
 
 
-EVIDENCE = [residual_evidence.claim((5,), 40.0, 44.0, source=s) for s in (event_rows.TRIM, unseen.STEPS, residual_evidence.RESIDUAL)]
+EVIDENCE = [unexplained_evidence.claim((5,), 40.0, 44.0, source=s) for s in (event_rows.TRIM, unseen.STEPS, unexplained_evidence.OPENED)]
 COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (from_takeoff.FLIGHTS, from_takeoff.VEHICLES)]
 
 

@@ -184,7 +184,7 @@ def test_the_drag_of_unequal_rotors_is_no_noise_on_ticks():
     u[:, n + 7 : n + 9] = 4.0, -3.0
     theta = np.zeros((T, n))
     theta[onset:, 1] = 0.3
-    _, drag = program.balance(u, program.steps(0.1, B).plant)
+    _, drag = limits.balance(u, program.steps(0.1, B).plant)
     y = np.array([0.0, 0.0, 0.0, float(n)]) + (u[:, :n] * theta) @ B.T + sd * rng.standard_normal((T, 4))
     y[:, 2] -= (drag * (1.0 - theta)).sum(axis=1)
     ok = np.ones((T, 4), bool)

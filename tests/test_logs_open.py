@@ -161,6 +161,20 @@ def test_a_reader_that_breaks_becomes_a_sentence(tmp_path, monkeypatch):
         logs.read(path)
 
 
+@pytest.mark.parametrize(
+    "name, library, head",
+    [("a.ulg", "pyulog", b"ULog\x01\x12\x35"), ("a.parquet", "pyarrow", b"PAR1"), ("a.mcap", "mcap", b"\x89MCAP0\r\n")],
+)
+def test_a_library_that_is_not_installed_is_no_damage(tmp_path, monkeypatch, name, library, head):
+    for loaded in [module for module in sys.modules if module.partition(".")[0] == library]:
+        monkeypatch.delitem(sys.modules, loaded)
+    monkeypatch.setitem(sys.modules, library, None)
+    (tmp_path / name).write_bytes(head + bytes(200))
+    with pytest.raises(LogError, match=f"needs {library}, which is not installed: pip install {library}") as caught:
+        logs.read(tmp_path / name)
+    assert "damaged" not in str(caught.value) and str(caught.value).startswith(str(tmp_path))
+
+
 def test_reading_a_table_loads_no_heavy_library(tmp_path):
     path = tmp_path / "flight.csv"
     path.write_bytes(TABLE)

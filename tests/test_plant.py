@@ -12,6 +12,7 @@ from rotorwatch.engine.bindings import plant_rows, program
 from rotorwatch.engine.bindings.plant_rows import AXIS_STATES
 from rotorwatch.engine.estimator import plant as definition
 from rotorwatch.engine.estimator.plant import AIR, B3, DAMPING, GAIN, PER_AXIS, SHARE, SHARE_SD, SIDEWAYS, TAU, THETA
+from rotorwatch_lab.experiments import limits
 
 QUAD, Y6 = (airframes.named(f"ardupilot-{name}").effectiveness() for name in ("quad-x", "y6"))
 RNG = np.random.default_rng(5)
@@ -47,7 +48,7 @@ def test_the_commanded_wrench_is_what_the_motion_needs_and_what_is_lost(side):
     u, x, theta = plant_rows.packed(ticks, 4), np.zeros(THETA), RNG.uniform(0, 0.5, 4)
     x[:AXIS_STATES], x[AIR] = RNG.normal(0, 1, AXIS_STATES), 0.07
     assert u.shape == (3, 17)
-    h, drag = program.balance(u, known)
+    h, drag = limits.balance(u, known)
     state = x[:AXIS_STATES].reshape(4, PER_AXIS)
     for k in range(3):
         motion = [*ticks.rate_dot[k], 4 * ticks.load[k]]

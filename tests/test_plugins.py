@@ -8,6 +8,7 @@ from rotorwatch import airframes, detectors, logs
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError, LogError, PluginWarning
 from rotorwatch_lab import campaign
+from rotorwatch_lab.published import origin
 
 GOOD = """
 class Own:
@@ -90,7 +91,7 @@ def test_what_other_packages_offer_is_found(package):
     assert discovery.systems()["own_plant"] is discovery.system("own_plant")
     assert "own-rule" in [m.name for m in detectors.modules()]
     assert "own-rule" not in [m.name for m in detectors.for_autopilot("ArduPilot")]  # it is no autopilot's own check
-    assert discovery.source(discovery.estimator("own")) == ("elsewhere", "1.2", "elsewhere:Own")
+    assert origin.source(discovery.estimator("own")) == ("elsewhere", "1.2", "elsewhere:Own")
     assert "ekf" in discovery.estimators()
     plan = campaign.from_table({"estimators": ["own", "elsewhere:Own"], "scenario": {"airframe": {"frame": "quad-x"}}, "healthy": 1.0})
     assert plan.estimators == ("own", "elsewhere:Own")
@@ -152,8 +153,8 @@ def test_a_class_that_cannot_be_named(package, name, says):
 
 
 def test_what_a_method_says_of_itself():
-    assert discovery.about(discovery.estimator("adaptive_ekf")).startswith("Adaptive extended Kalman filter: Zhang's")
-    assert discovery.source(discovery.estimator("ekf")).path == "rotorwatch_lab.estimators.ekf:EKF"
+    assert origin.about(discovery.estimator("adaptive_ekf")).startswith("Adaptive extended Kalman filter: Zhang's")
+    assert origin.source(discovery.estimator("ekf")).path == "rotorwatch_lab.estimators.ekf:EKF"
 
 
 def test_a_log_format_and_an_airframe_of_another_package_are_used(package, tmp_path):

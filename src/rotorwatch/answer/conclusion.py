@@ -145,8 +145,8 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
         return "inconclusive", f"{why}{some}."
     if (spell := _lasting(seen)) is not None:
         return "ambiguous", f"{_as_if(spell, ())}: a loss masked by wind, or a change of wind."
-    if seen.residual_evidence:
-        spells = [f"{rotors(s.rotors)} from {seconds(s.onset_s)} to {seconds(s.end_s)}" for s in seen.residual_evidence]
+    if seen.unexplained_evidence:
+        spells = [f"{rotors(s.rotors)} from {seconds(s.onset_s)} to {seconds(s.end_s)}" for s in seen.unexplained_evidence]
         return "ambiguous", f"there is evidence against {listed(spells)} that no event explains."
     scope = f"and none from {seen.start} on, compared with its healthy flights" if whole else f"after {seen.start}"
     if seen.bound is not None:
@@ -185,7 +185,7 @@ def _missing(seen: Evidence) -> str:
 
 def _lasting(seen: Evidence) -> Event | None:
     """A lasting step of the size of a loss (`unseen.suspected`)."""
-    return next((s for s in seen.residual_evidence if s.interval), None)
+    return next((s for s in seen.unexplained_evidence if s.interval), None)
 
 
 def _as_if(spell: Event, places: Sequence[str]) -> str:
@@ -224,7 +224,7 @@ def _others(seen: Evidence, main: Event) -> str:
 
 
 def _open(seen: Evidence) -> str:
-    who = sorted({r for spell in seen.residual_evidence for r in spell.rotors})
+    who = sorted({r for spell in seen.unexplained_evidence for r in spell.rotors})
     return f"; it does not explain later evidence against {rotors(who)}" if who else ""
 
 
@@ -467,7 +467,7 @@ def _suspicions(seen: Evidence, rotor: int, maybe, landed, claims) -> list[tuple
         who = e.rotors if e.means.now.unsure is None else e.suspects
         if rotor in who and e.means.ongoing(None if _landed(seen, e.end_s) else e.end_s):
             suspicions.append((said(e.means.now, e, other=listed([str(r) for r in e.rotors if r != rotor])), 1.0))
-    for s in seen.residual_evidence:
+    for s in seen.unexplained_evidence:
         if rotor in s.rotors and s.interval:
             lost = interval(*s.interval[s.rotors.index(rotor)])
             suspicions.append((f"may have lost {lost} since {seconds(s.onset_s)}, or the wind changed then", s.most(rotor)))

@@ -64,7 +64,7 @@ class Evidence(NamedTuple):
     @property
     def growing(self) -> list[tuple[int, Trend]]:
         """Rotors without suspicion whose loss grows: (number, trend)."""
-        open_ = {r for s in self.residual_evidence for r in s.rotors}
+        open_ = {r for s in self.unexplained_evidence for r in s.rotors}
         open_ |= {r for e in self.losses if e.alternatives for r in e.suspects}
         return [(k, t) for k, t in enumerate(self.trends, start=1) if t and t.word == "growing" and k not in open_]
 
@@ -122,7 +122,7 @@ class Evidence(NamedTuple):
         return any(c.source.name == from_takeoff.FLIGHTS.name for c in self.claims)
 
     @property
-    def residual_evidence(self) -> list[Event]:
+    def unexplained_evidence(self) -> list[Event]:
         """Evidence against rotors that no event explains."""
         return [c for c in self.claims if c.kind == EVIDENCE]
 

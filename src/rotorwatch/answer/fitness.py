@@ -68,7 +68,7 @@ def _explanations(seen: Evidence, main: int | None) -> Iterator[dict[str, Any]]:
         for c in whole["causes"]:
             name = FROM_TAKEOFF if c["rotors"] else c.get("kind") or "usual_trim"
             yield _cause(name, c["rotors"], c["probability"], whole["reason"])
-    for spell in seen.residual_evidence:
+    for spell in seen.unexplained_evidence:
         yield _cause(LOSS, spell.rotors, None, spell.reason)
     if event is None:
         for rotor, trend in seen.growing:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rotorwatch.answer.drift import Growth
-from rotorwatch.engine.bindings import residual_evidence
+from rotorwatch.engine.bindings import unexplained_evidence
 from rotorwatch.engine.bindings.event_rows import TRIM, packed
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.drift import many
@@ -48,4 +48,4 @@ def suspected(grown: Growth | None) -> tuple[Event, ...]:
         return ()
     share = grown.odds / (1.0 + grown.odds)
     who = grown.rotors, grown.start_s, grown.looked_s, grown.interval
-    return (residual_evidence.claim(*who, probability=share, source=TRIM),)
+    return (unexplained_evidence.claim(*who, probability=share, source=TRIM),)

@@ -24,7 +24,7 @@ def compose(
     flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=(), states=()
 ) -> Trace:  # fmt: skip
     """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
-    effectiveness; found: events; spells: of evidence that no event explains (`residual_evidence`); states: of the rotors at the end."""
+    effectiveness; found: events; spells: of evidence that no event explains (`unexplained_evidence`); states: of the rotors at the end."""
     judging = table.mode == JUDGE
     sd = event_rows.sd_of(out.theta, out.theta_sd, B)
     spread = np.where(out.theta > 0, WITHIN_95 * sd, WITHIN_95 * np.where(judging[:, None], out.detectable, 0.0))

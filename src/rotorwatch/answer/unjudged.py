@@ -15,12 +15,12 @@ from rotorwatch.engine.motion.air_spans import commands
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.engine.motion.tick_table import GROUND, LEARN, SHORTEST_S, Ticks
 from rotorwatch.flight import Flight
+from rotorwatch.logs.plausible import NAMED
 
 SHAKEN = G0  # m/s^2: vibration as large as the weight, which masks lift-off, landing and thrust
 CARRIED = 0.8  # of the usual command in the air: it carries the vehicle
 RUNNING = 0.1  # share of the outputs' range, from which motors run
 LOOKS = 2000  # times at which vibration is computed
-NAMED = 3  # knocks that are named
 FEW_S = 30.0  # of judged flight: below, a longer flight shows more
 MOST = 0.5  # of the time in the air
 OUTPUTS = "Log the outputs that reach the motors; `rotorwatch info LOG` lists what a log holds and lacks."

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.answer.wording import SCALE
-from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings import event_rows, unexplained_evidence
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, plant
 from rotorwatch.engine.events.decisions import CERTAIN_NATS
@@ -181,14 +181,14 @@ class Unseen:
         low, high = np.clip([step.loss - half, step.loss + half], 0.0, 1.0)
         interval = tuple((float(low[i - 1]), float(high[i - 1])) for i in rotors)
         since = float(here.onset[sure, who[rotor]])
-        return (residual_evidence.claim(rotors, since, end_s, interval, source=STEPS),)
+        return (unexplained_evidence.claim(rotors, since, end_s, interval, source=STEPS),)
 
     def _disturbed(self, when: np.ndarray, found: Sequence[Event]) -> np.ndarray:
         """True if the evidence at these times [s] is due to a knock among the events, or to a push."""
         pushed = np.zeros(np.shape(when), bool)
         for start in self._pushes:
             pushed |= (when > start - PUSH_S) & (when <= start)
-        return pushed | residual_evidence.knocked(when, found)
+        return pushed | unexplained_evidence.knocked(when, found)
 
     def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
         """The events, with alternatives added to a loss of control without a rotor at fault: rotors against which evidence was certain

@@ -28,9 +28,8 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from rotorwatch import __version__
 from rotorwatch.base.choices import meant
 from rotorwatch.errors import ConfigError, PluginWarning
 
@@ -53,14 +52,6 @@ GROUPS = {
 }
 OURS = "rotorwatch"  # our distribution; its classes come first
 DEFAULT = "rotorwatch.engine.bindings"  # the package that holds the default estimator and its plant
-
-
-class Source(NamedTuple):
-    """Origin of a method: the package and its version, and the class as `module:Class`."""
-
-    package: str
-    version: str
-    path: str
 
 
 def estimators() -> dict[str, type]:
@@ -124,39 +115,6 @@ def _keywords(instance: Any) -> dict[str, Any]:
 def names() -> list[str]:
     """Names of all estimators; classes of other packages that are named one by one are not loaded for that."""
     return sorted({*_own("rotorwatch.estimators"), *_single("rotorwatch.estimators")})
-
-
-def source(found: Any) -> Source:
-    """Origin of a class or a module. A package that is not installed has no version."""
-    module = getattr(found, "__module__", None) or found.__name__
-    path = f"{module}:{found.__qualname__}" if inspect.isclass(found) else module
-    top = module.partition(".")[0]
-    if top == __name__.partition(".")[0]:
-        return Source(OURS, __version__, path)
-    for group in GROUPS:
-        for entry in offered(group).values():
-            if entry.module.partition(".")[0] == top and entry.dist is not None:
-                return Source(entry.dist.name, entry.dist.version, path)
-    for name in _distributions(top, tuple(sys.path)):
-        from importlib import metadata
-
-        return Source(name, metadata.version(name), path)
-    return Source(top, "", path)
-
-
-@functools.cache
-def _distributions(top: str, _path: tuple[str, ...]) -> list[str]:
-    """Names of the installed packages that contain a module of that name; reading all installed packages takes a second."""
-    from importlib import metadata
-
-    return metadata.packages_distributions().get(top, [])
-
-
-def about(found: Any) -> str:
-    """Description of a plug-in: the first sentence of its module, or of its class where the module says nothing."""
-    own = found if not inspect.isclass(found) else sys.modules.get(found.__module__)
-    text = getattr(own, "__doc__", None) or found.__doc__ or ""
-    return " ".join(text.split("\n\n")[0].split()).rstrip(".")
 
 
 def _named(group: str, name: str) -> type:

@@ -83,7 +83,7 @@ def conclude(case: Case, claims: Claims, known: Bounds, air: Spans) -> Answer:
     )  # fmt: skip
     if done is not None:
         seen = _explained(case, seen, doubts)
-    evidence = tuple(seen.residual_evidence)
+    evidence = tuple(seen.unexplained_evidence)
     return Answer(conclusion.conclude(seen, doubts), doubts, evidence, claims.facts, claims.assumptions, claims.warnings)
 
 

@@ -32,7 +32,6 @@ from rotorwatch.engine.estimator import (
 )
 from rotorwatch.engine.estimator import batch as estimator_whole
 from rotorwatch.engine.estimator import estimator_sizes as estimator_sizes
-from rotorwatch.engine.estimator import known as estimator_known
 from rotorwatch.engine.estimator import prior as estimator_prior
 from rotorwatch.engine.events import calls, carried, changes, decisions, events, losses, records, reliance, texts, words
 from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer, planning, sense, sizes, ticks
@@ -50,21 +49,7 @@ TRIM = time_blocks, stretch, fit, weighing, outcome, trim
 SIZES = sizes, estimator_sizes, trim_sizes
 ENGINE = Definition(
     "engine",
-    (
-        *FRONT,
-        *ESTIMATOR,
-        *TRIM,
-        engine,
-        calls,
-        estimator_whole,
-        estimator_known,
-        estimator_prior,
-        explanations,
-        many,
-        planning,
-        carried,
-        feed,
-    ),
+    (*FRONT, *ESTIMATOR, *TRIM, engine, calls, estimator_whole, estimator_prior, explanations, many, planning, carried, feed),
     SIZES,
     [
         *(file for folder in ("intake", "estimator", "drift", "events") for file in files_in(f"engine/{folder}")),

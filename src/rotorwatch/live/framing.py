@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.logs import mavlink_messages
+from rotorwatch.logs.mavlink_frames import SIGNED, V1, V2
 
-V1, V2 = 0xFE, 0xFD
-SIGNED = 0x01
 MOST = 280  # bytes of the longest frame
 # Budget of wasted check sum bytes per received byte, its limit, and the extra cost of an attempt. Damage costs about 1.
 VAIN, SAVED, ATTEMPT = 4, 16 * MOST, 64

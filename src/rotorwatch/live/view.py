@@ -12,11 +12,11 @@ from rotorwatch.answer.wording import percent, said
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import LOST, Span
 from rotorwatch.live.alert_states import ANNOUNCED
+from rotorwatch.live.routes import SILENT_S
 from rotorwatch.live.watch import Source
 from rotorwatch.live.watched import Watched
 
 BAR = " ▁▂▃▄▅▆▇█"
-SILENT_S = 3.0
 SHOWN = 3  # events of a vehicle: a loss of control, and the newest
 STYLES = {
     "LOST": "bold white on red",

@@ -195,6 +195,9 @@ def _checked(job, module, path, warnings, progress=None) -> Flight:
     except RotorwatchError as error:
         text = str(error)
         raise LogError(text if path.name in text else f"{path}: {text}") from error
+    except ModuleNotFoundError as error:
+        needed = str(error.name).partition(".")[0]
+        raise LogError(f"{path}: {module.FORMAT} needs {needed}, which is not installed: pip install {needed}.") from error
     except (Exception, RecursionError) as error:
         raise LogError(f"{path}: this {module.FORMAT} is too damaged to be read ({type(error).__name__})") from error
     if not isinstance(flight, Flight):

@@ -47,14 +47,17 @@ def announced(parameters: dict[str, float], text: tuple[str, str]) -> list[str]:
     return [f"{names} not in the log; the frame that the autopilot announced, {text[0]}/{text[1]}, was taken."]
 
 
+def _functions(parameters: Mapping[str, float]) -> dict[int, int]:
+    """Servo output -> its SERVOn_FUNCTION."""
+    given = ((output_functions.function(name, value), value) for name, value in parameters.items())
+    return {one.output: int(value) for one, value in given if one is not None and one.driver == output_functions.SERVO}
+
+
 def outputs(parameters: Mapping[str, float], frame_class: int | None, pwm: Mapping[int, np.ndarray]) -> tuple[dict[int, int], list[str]]:
     """({rotor: servo output}, sentences on assumptions), both numbered from 1.
 
     pwm: servo output -> its logged pulse widths [us]; only used when neither SERVOn_FUNCTION nor the frame are known."""
-    functions = {}
-    for name, value in parameters.items():
-        if (one := output_functions.function(name, value)) is not None and one.driver == output_functions.SERVO:
-            functions[one.output] = int(value)
+    functions = _functions(parameters)
     mapped: dict[int, int] = {}
     for output in sorted(functions):
         rotor = SERVO_MOTORS.get(functions[output])
@@ -99,10 +102,7 @@ def left_out(parameters: Mapping[str, float], outputs: Mapping[int, int], pwm: M
     outputs.
 
     outputs: {rotor: servo output}, as of `outputs`. A tricopter's tail servo has a motor function too."""
-    functions = {}
-    for name, value in parameters.items():
-        if (one := output_functions.function(name, value)) is not None and one.driver == output_functions.SERVO:
-            functions[one.output] = int(value)
+    functions = _functions(parameters)
     rotors = [pwm[output] for output in outputs.values() if output in pwm]
     extra = []
     for output, pulses in sorted(pwm.items()):

@@ -15,8 +15,8 @@ import numpy as np
 from rotorwatch.logs.mavlink_messages import Message, parts
 
 _STAMP = 8
-_V1, _V2 = 0xFE, 0xFD
-_SIGNED = 0x01
+V1, V2 = 0xFE, 0xFD
+SIGNED = 0x01
 _WINDOW = 1 << 20  # bytes searched at once behind a damaged place
 
 
@@ -38,17 +38,17 @@ class Frames:
             start = at + _STAMP
             magic, length = data[start], data[start + 1]
             source = component = message = -1
-            if magic == _V2 and start + 12 <= size:
-                end = start + 12 + length + (13 if data[start + 2] & _SIGNED else 0)
+            if magic == V2 and start + 12 <= size:
+                end = start + 12 + length + (13 if data[start + 2] & SIGNED else 0)
                 source, component = data[start + 5], data[start + 6]
                 message = data[start + 7] | data[start + 8] << 8 | data[start + 9] << 16
-            elif magic == _V1:
+            elif magic == V1:
                 end = start + 8 + length
                 source, component, message = data[start + 3], data[start + 4], data[start + 5]
             else:
                 end = size + 1
             # The next frame's magic byte follows this frame, or this one is damaged.
-            if end > size or (end + _STAMP < size and data[end + _STAMP] not in (_V1, _V2)):
+            if end > size or (end + _STAMP < size and data[end + _STAMP] not in (V1, V2)):
                 later = size
                 while (k := bisect_left(places, start + 1)) == len(places) and seen < size:
                     places, seen = self._places(max(start + 1, seen)), min(max(start + 1, seen) + _WINDOW, size)
@@ -73,15 +73,15 @@ class Frames:
         """Positions from there on of possible frames that another one follows, or with too few bytes left to decide."""
         data, size = self._bytes, self._bytes.size
         window = data[at : at + _WINDOW]
-        start = at + np.flatnonzero((window == _V1) | (window == _V2))
+        start = at + np.flatnonzero((window == V1) | (window == V2))
         sure = start[: np.searchsorted(start, size - 11)]
-        second = data[sure] == _V2
+        second = data[sure] == V2
         end = sure + 8 + data[sure + 1].astype(np.int64)
-        end += second * (4 + 13 * (data[sure + 2] & _SIGNED).astype(np.int64))
+        end += second * (4 + 13 * (data[sure + 2] & SIGNED).astype(np.int64))
         follows = end + _STAMP >= size
         inside = ~follows
         magic = data[end[inside] + _STAMP]
-        follows[inside] = (magic == _V1) | (magic == _V2)
+        follows[inside] = (magic == V1) | (magic == V2)
         return np.concatenate([sure[follows & (end <= size)], start[sure.size :]]).tolist()
 
     def decode(self, source: int, component: int, layout: Message) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,7 @@ class Frames:
         are left out."""
         starts, order = (np.array(a, np.int64) for a in self.found.get((source, component, layout.id), ((), ())))
         kind = payload_type(layout)
-        second = self._bytes[starts] == _V2
+        second = self._bytes[starts] == V2
         header = np.where(second, 10, 6)
         length = self._bytes[starts + 1].astype(np.int64)
         # MAVLink 2 cuts zeros off the end of a payload, and extends it with fields that MAVLink 1 does not have.

@@ -7,8 +7,10 @@ https://docs.px4.io/main/en/advanced_config/parameter_reference.html), widened w
 from __future__ import annotations
 
 import functools
+import math
 import re
 from collections.abc import Mapping
+from typing import Any
 
 # (name, least, most, whole numbers only); the first that matches counts.
 RANGES = (
@@ -36,6 +38,11 @@ RANGES = (
     (r"(?:PWM_MAIN|PWM_AUX|UAVCAN_EC|HIL_ACT|PCA9685|VOXL_ESC|TAP_ESC)_FUNC\d{1,2}", 0, 10_000, True),
     (r"UAVCAN_EC_(?:MIN|MAX)\d{1,2}", 0, 8191, True),
 )
+
+
+def is_parameter(name: str, value: Any) -> bool:
+    """Numbers only, and none of the simulator's: SIM_* parameters can disclose a fault."""
+    return isinstance(value, (int, float)) and math.isfinite(value) and not name.startswith("SIM_")
 
 
 def checked(parameters: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:

@@ -28,12 +28,10 @@ class Damaged(ValueError):
 @contextmanager
 def opened(data, check: Callable[[Sequence[str]], None] = lambda names: None):
     """The file in these bytes, as pyarrow's ParquetFile. check: called with the names of its columns before anything large is decoded.
-    Raises LogError where it is damaged, then or while it is read, unpacks to too much, or pyarrow is missing."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise LogError("Parquet needs pyarrow, which is not installed: pip install pyarrow") from None
+    Raises LogError where it is damaged, then or while it is read, or unpacks to too much."""
+    import pyarrow
+    import pyarrow.parquet
+
     try:
         file = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(memoryview(data)))
         check(file.schema_arrow.names)

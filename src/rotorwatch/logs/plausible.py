@@ -39,7 +39,7 @@ HABIT = 0.05  # share of a signal's values beyond which it is not damage but the
 FITTED, FIT_EVERY = 512, 64  # samples for the fit of the mixer's matrix, and its interval
 PARTNER_S = 0.1  # a command further than this from any output of the controller is not compared
 PIECE, MARGIN = 1 << 15, 64  # samples processed at a time; margin on each side
-NAMED = 3  # times that a warning names
+NAMED = 3  # times that a sentence lists
 # Share and number of lone values of a signal beyond which chance does not explain them; and number of impossible ones beside them
 HEAVY, LEAST_HEAVY = 0.002, 5
 

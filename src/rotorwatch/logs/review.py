@@ -5,7 +5,6 @@ metadata.json with parameters, texts and the start. https://github.com/PX4/fligh
 from __future__ import annotations
 
 import json
-import math
 import re
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs import parameter_ranges, parquet_pages, px4_topics, series
 from rotorwatch.logs.container import open_log
+from rotorwatch.logs.parameter_ranges import is_parameter
 
 FORMAT = "Flight Review tables"
 METADATA = "metadata.json"
@@ -79,7 +79,7 @@ def _flight(tables, about: dict[str, Any], notes: list[str]) -> Flight:
     if not isinstance(start, int) or not any(abs(t - start) < 30e6 for t in first.values()):  # as in a ULog, it begins within seconds
         start = first.get(("vehicle_attitude", 0), min(first.values()))
     given = _mapping(about, "parameters")
-    parameters, impossible = parameter_ranges.checked({str(k): float(v) for k, v in given.items() if _is_parameter(str(k), v)})
+    parameters, impossible = parameter_ranges.checked({str(k): float(v) for k, v in given.items() if is_parameter(str(k), v)})
     topics = px4_topics.Topics(tables, start)
     signals, facts = px4_topics.signals(topics, parameters)
     end = series.end_of(signals)
@@ -104,11 +104,6 @@ def _flight(tables, about: dict[str, Any], notes: list[str]) -> Flight:
 def _mapping(about: dict[str, Any], key: str) -> dict[str, Any]:
     found = about.get(key)
     return found if isinstance(found, dict) else {}
-
-
-def _is_parameter(name: str, value: Any) -> bool:
-    """Numbers only, and none of the simulator's: SIM_* parameters can disclose a fault."""
-    return isinstance(value, (int, float)) and math.isfinite(value) and not name.startswith("SIM_")
 
 
 def _texts(about: dict[str, Any], start: int) -> list[Message]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from rotorwatch.errors import LogError
 from rotorwatch.flight import Flight, Message
 from rotorwatch.logs import parameter_ranges, px4_reports, px4_topics, series, ulog_data
+from rotorwatch.logs.parameter_ranges import is_parameter
 
 FORMAT = "PX4 ULog"
 ENDINGS = (".ulg",)
@@ -39,7 +39,7 @@ def read(data, name: str, progress=None) -> Flight:
     tables = {(d.name, d.multi_id): d.data for d in log.data_list if d.name in (*px4_topics.TOPICS, *px4_topics.RAW)}
     start, notes = _start(log, tables)
     topics = px4_topics.Topics(tables, start)
-    parameters, impossible = parameter_ranges.checked({k: float(v) for k, v in log.initial_parameters.items() if _is_parameter(k, v)})
+    parameters, impossible = parameter_ranges.checked({k: float(v) for k, v in log.initial_parameters.items() if is_parameter(k, v)})
     signals, facts = px4_topics.signals(topics, parameters)
     warnings = [*notes, *impossible, *topics.notes]
     if damaged:
@@ -49,7 +49,7 @@ def read(data, name: str, progress=None) -> Flight:
     messages = px4_topics.messages(topics) + px4_reports.events(log, start) + _log_messages(log, start)
     end = series.end_of(signals)
     kind = px4_topics.MAV_TYPES.get(int(parameters.get("MAV_TYPE", 0)), ("", 0))[0]
-    changed = ((t, k, v) for t, k, v in log.changed_parameters if _is_parameter(k, v))
+    changed = ((t, k, v) for t, k, v in log.changed_parameters if is_parameter(k, v))
     return Flight(
         format=FORMAT,
         autopilot="PX4",
@@ -134,11 +134,6 @@ def _start(log, tables) -> tuple[int, list[str]]:
     if first and not any(abs(t - start) < _BEGINS_WITHIN_US for t in first):
         return min(first), ["the header's start time is damaged; times count from the earliest data"]
     return start, []
-
-
-def _is_parameter(name, value) -> bool:
-    """Numbers only, and none of the simulator's: SIM_* parameters can disclose a fault."""
-    return isinstance(value, (int, float)) and math.isfinite(value) and not name.startswith("SIM_")
 
 
 def _firmware(log) -> str:

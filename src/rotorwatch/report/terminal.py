@@ -17,7 +17,7 @@ from rich.text import Text
 
 from rotorwatch import report
 from rotorwatch.flight.diagnosis import Diagnosis
-from rotorwatch.report import blocks, plain, sections, words
+from rotorwatch.report import blocks, sections, words
 
 if TYPE_CHECKING:
     from rotorwatch.report.overview import Row
@@ -310,26 +310,3 @@ def info(facts: Mapping[str, Any]) -> RenderableType:
     for sentence in facts["warnings"]:
         list_.add_row(Text(" !", style="yellow"), Text(sentence))
     return Group(*parts, list_)
-
-
-def campaign(result: Mapping[str, Any]) -> RenderableType:
-    """The table of an injection campaign (`rotorwatch.inject.campaign`)."""
-    rows = list(result.get("table", ()))
-    columns = list(dict.fromkeys(key for row in rows for key in row))
-    table = listing("Injected losses", *(words(c) for c in columns), right=range(len(columns)))
-    shares = {"loss", "detected", "right", "right_rotor", "loss_rms", "detected_share", "right_share"}
-    for row in rows:
-        table.add_row(*(_campaign_cell(c, row.get(c), shares) for c in columns))
-    rest = {k: v for k, v in result.items() if k not in ("table", "flights", "trials", "runs")}
-    grid = Table.grid(padding=(0, 2))
-    for key, value in rest.items():
-        grid.add_row(Text(words(key), style="dim"), Text(plain(value)))
-    return Group(table, Text(), grid)
-
-
-def _campaign_cell(column: str, value: Any, shares: set[str]) -> str:
-    if value is None:
-        return "–"
-    if column in shares and isinstance(value, float):
-        return report.percent(value, 1 if column == "loss_rms" else 0)
-    return report.seconds(value) if column.endswith("_s") else plain(value)

@@ -11,7 +11,7 @@ from rotorwatch.flight import Flight, Signal
 SAG = 0.85  # share of the usual voltage below which the power fails
 BATTERY_S = 60.0  # of flight before, to which the dependence of voltage on current is fitted
 RESISTANCE = 0.05, 0.05  # voltage drop at the usual current, as a share of the voltage: mean and sd over batteries
-LASTS_S, FEWEST = 3.0, 3  # time and samples for which a voltage must stay low to be reported
+LASTS_S, FEWEST = 3.0, 3  # time beyond a limit, and samples of a voltage, before it is reported: a knock shakes for a second or two
 PINNED = 0.995  # of the largest current
 BEFORE_S, NEAR_S = 1.0, 1.5  # the usual voltage is taken up to BEFORE_S before a moment, the drop within NEAR_S of it
 

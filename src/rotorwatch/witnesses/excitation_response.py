@@ -32,7 +32,7 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.bindings.event_rows import ESTIMATOR, read, sd_of
-from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, lower_rotors
+from rotorwatch.engine.bindings.plant_rows import lower_rotors
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.estimator.model_error import AT_LIMIT
@@ -50,12 +50,9 @@ from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 SOURCE = Source("excitation", 2, ESTIMATOR.explained)
 LEAST = 0.05  # hover thrusts of one rotor, beyond the mixer's own allocation: an excitation, not rounding
 SHORTEST_S, GAP_S, ASIDE_S = 0.5, 1.0, 1.0  # of an excitation; between two; of flight used before and after
-HOVER_S = 3.0  # over which the commands of hover are averaged
 LONGEST = 400  # ticks used together
 UNLIKE = 0.03  # relative scatter of healthy rotors' response to a command
 LOSS_SD = 0.05  # sd of a loss derived from hover, besides RECOVERY_SHARE of it
-EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected
-LEAST_LOSS = 0.1  # ... and the smallest loss in it
 OTHER = 1e-4  # prior weight of a set that no event names, relative to one that is named and to none
 CONTAINS = 0.1  # ... of one that contains a named one: the smaller one is sufficient
 TRIM_S = 2.0  # averaging time of the trim at the beginning of a flight and before an excitation
@@ -121,21 +118,6 @@ def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
     if time.size == 0 or time[-1] - time[0] < 2.0 * TRIM_S:
         return None, sd
     return biases[time > time[-1] - TRIM_S].mean(axis=0) - biases[time < time[0] + TRIM_S].mean(axis=0), sd
-
-
-def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
-    """Single rotors and pairs (0-based) whose losses (n,) explain the change of trim, whatever was announced."""
-    lacking, sd = shift(carry, out, table)
-    n, sets = B.shape[1], {}
-    if lacking is None:
-        return sets
-    for who in (*combinations(range(n), 1), *combinations(range(n), 2)):
-        losses = np.zeros(n)
-        losses[list(who)], left = least_squares(B[:, who] / sd[:, None], lacking / sd)
-        least = losses[list(who)].min()
-        if left < EXPLAINED and LEAST_LOSS < least and losses.max() <= 1.0:
-            sets[who] = losses
-    return sets
 
 
 def until(table: Ticks, k: int) -> Ticks:
@@ -303,29 +285,6 @@ def candidates(event: Event, B: np.ndarray) -> dict[tuple[int, ...], np.ndarray]
         if who is event.rotors or losses.max() > hypotheses.NONE:  # a set that explains nothing in hover is no candidate
             sets[tuple(members)] = losses
     return sets
-
-
-class Question(NamedTuple):
-    """Input to the design of an excitation, from a log. candidates: sets of rotors (0-based; (): none) and their losses (n,); hover (n,):
-    commands, shares of full thrust; noise and gain (3,) as `rotorwatch.control.excitation.design` takes
-    them; dt [s] of a tick."""
-
-    candidates: dict[tuple[int, ...], np.ndarray]
-    hover: np.ndarray
-    noise: null_space.Noise
-    gain: np.ndarray
-    dt: float
-
-
-def question(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
-    """The sets of rotors (`candidates` or `suspects`, or none) that an excitation has to distinguish. carry: of the default estimator after
-    the ticks of `table`."""
-    flying = table.mode == JUDGE
-    late = flying & (table.time > table.time[flying][-1] - HOVER_S)
-    hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
-    gain = np.asarray(carry.s)[:AXIS_STATES].reshape(4, PER_AXIS)[:3, GAIN]
-    candidates_ = {**sets, (): np.zeros(B.shape[1])}
-    return Question(candidates_, hover, null_space.Noise(np.asarray(carry.variances)[:, 3], np.array(TAU)), gain, table.dt)
 
 
 def resolve(events: Sequence[Event], table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[Event, ...], tuple[str, ...]]:

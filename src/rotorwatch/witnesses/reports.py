@@ -20,6 +20,7 @@ from rotorwatch.flight import Flight, Message
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import REPORTED, Kind, Weight, Words, register
 from rotorwatch.witnesses import battery
+from rotorwatch.witnesses.battery import LASTS_S
 from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
 register(
@@ -32,7 +33,6 @@ register(
 )  # fmt: skip
 LATE_S = 1.0  # after a flight: the reason for its end is logged a moment later
 CRASHED_S = 5.0  # the same, for a check that takes seconds to find the vehicle on its side (ArduPilot's: 2)
-LASTS_S = 3.0  # time beyond a limit before it is reported: a knock shakes for a second or two
 SAME_S = 1.0  # reports this close belong together
 EVERY_S = 1.0  # on a link, between two looks
 WRITES = ("error", "text", "event", "health")

@@ -16,7 +16,7 @@ import numpy as np
 
 from rotorwatch.answer.wording import rotors
 from rotorwatch.base.arrays import quantile
-from rotorwatch.engine.bindings import event_rows, residual_evidence
+from rotorwatch.engine.bindings import event_rows, unexplained_evidence
 from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.hypotheses import CLEAR as CLEAR_NATS
@@ -297,7 +297,7 @@ def _total(event: Event) -> bool:
 def _opened(event: Event, probability: float) -> Event:
     """A loss as an open claim."""
     until = event.detected_s if event.end_s is None else max(event.end_s, event.onset_s)
-    return residual_evidence.claim(event.rotors, event.onset_s, until, event.interval, probability)
+    return unexplained_evidence.claim(event.rotors, event.onset_s, until, event.interval, probability)
 
 
 def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Event], list[Event]]:
@@ -334,14 +334,14 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
         return []
     since = np.flatnonzero(ahead[:, rotor] > most - LATELY)[-1]
     onset = float(table.command_time[since])
-    return [residual_evidence.claim((rotor + 1,), onset, float(table.time[-1]), source=SOURCE)]
+    return [unexplained_evidence.claim((rotor + 1,), onset, float(table.time[-1]), source=SOURCE)]
 
 
 def _unbalanced(events: Sequence[Event], kept: Sequence[Event]) -> list[Event]:
     """Rotors that became out of balance while no loss of theirs is known: to be compared, too."""
     lost = {r for e in kept if e.kind == LOSS for r in e.suspects}
     return [
-        residual_evidence.claim(tuple(sorted(e.suspects)), e.onset_s, e.detected_s, source=HEARD)
+        unexplained_evidence.claim(tuple(sorted(e.suspects)), e.onset_s, e.detected_s, source=HEARD)
         for e in events
         if e.kind == UNBALANCED and lost.isdisjoint(e.suspects)
     ]

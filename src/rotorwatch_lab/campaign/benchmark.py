@@ -30,7 +30,7 @@ from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.campaign.score import COLUMNS
 from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.studies import compare, compare_flights
-from rotorwatch_lab.published import published
+from rotorwatch_lab.published import origin, published
 from rotorwatch_lab.simulation import logbook, truth
 from rotorwatch_lab.simulation.scenario import brief
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics
@@ -46,7 +46,7 @@ class Method(NamedTuple):
     name: str
     kind: str
     about: str
-    source: discovery.Source
+    source: origin.Source
 
     @property
     def whose(self) -> str:
@@ -85,7 +85,7 @@ def selected_methods(names: Sequence[str]) -> list[Method]:
 
 
 def _method(label: str, kind: str, implementation: Any) -> Method:
-    return Method(label, implementation.name, kind, discovery.about(implementation), discovery.source(implementation))
+    return Method(label, implementation.name, kind, origin.about(implementation), origin.source(implementation))
 
 
 def try_out(method: Method) -> str | None:

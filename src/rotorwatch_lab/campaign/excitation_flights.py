@@ -5,7 +5,7 @@
     print(excitation_flights.markdown(result))
 
 Every flight is flown and diagnosed without excitation. Where the answer is `ambiguous`, the rotor sets to distinguish follow from the log
-(`default.excitation_response.question`), the excitation is designed for them (`control.excitation`), and the flight is flown again with
+(`planning.question.pose`), the excitation is designed for them (`control.excitation`), and the flight is flown again with
 it: up to its start it is the same to the last bit. Healthy flights are excited as well.
 """
 
@@ -24,6 +24,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.toolkit import READY_S, airborne, ambiguous_sets, diagnose, events, excitation_response, observe, program
 from rotorwatch_lab.control import excitation
 from rotorwatch_lab.experiments import tools
+from rotorwatch_lab.planning.question import Question, pose, suspects
 from rotorwatch_lab.simulation import logbook, loop, prepare, scenario
 from rotorwatch_lab.simulation.excited import EXCITED
 from rotorwatch_lab.simulation.scenario import Scenario
@@ -93,7 +94,7 @@ def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarra
     return table, carry, out, B, events.read(out, table, B)
 
 
-def designed(question: excitation_response.Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
+def designed(question: Question, limits: excitation.Limits | None, B: np.ndarray, exactly: bool = False):
     """The design that resolves the question soonest within WITHIN_S; where that is too short, or `exactly`, the most informative one of
     WITHIN_S. None where the null space cannot distinguish the candidates."""
     give = (B, list(question.candidates.values()), question.hover, question.noise, question.gain, question.dt, limits)
@@ -108,14 +109,14 @@ def designed(question: excitation_response.Question, limits: excitation.Limits |
 def designed_unprompted(frame: str, carry, out, table, B: np.ndarray, limits: excitation.Limits | None = None):
     """The design for a flight in which nothing was announced: which of the sets that explain a change of trim is weak, else which of a few
     pairs that hover does not distinguish, or none? For WITHIN_S."""
-    sets = excitation_response.suspects(carry, out, table, B)
+    sets = suspects(carry, out, table, B)
     if not sets:
         alike = _alike(frame)
         first = next(one for one, _ in alike if len(one) == 2)
         for pair in (first, *(other for one, other in alike if one == first and len(other) == 2)):
             indices = tuple(k - 1 for k in pair)
             sets[indices] = np.where(np.isin(np.arange(B.shape[1]), indices), WORST, 0.0)
-    return designed(excitation_response.question(sets, carry, table, B), limits=limits, B=B, exactly=True)
+    return designed(pose(sets, carry, table, B), limits=limits, B=B, exactly=True)
 
 
 def attitude_change(one_: Any, other: Any) -> float:
@@ -145,9 +146,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
         if not sure:
             if unsure:
                 start = max(e.detected_s for e in unsure) + WAITS_S
-                design = designed(
-                    excitation_response.question(excitation_response.candidates(unsure[0], B), carry, table, B), limits=limits, B=B
-                )
+                design = designed(pose(excitation_response.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
             else:
                 table, carry, out, B, _ = judged(flight, start)
                 design = designed_unprompted(frame, carry, out, table, B, limits)

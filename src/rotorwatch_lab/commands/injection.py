@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rotorwatch.toolkit.commands import JSON, LOG, answer, common, option, print_json, progress, resumable, shares, show, spread
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 
 @click.command(short_help="Inject losses and count what is found.")
@@ -28,7 +32,26 @@ def inject(logs, losses, repeats, seed, jobs, scheduler, keep, as_json, quiet) -
     if as_json:
         print_json(result)
     else:
-        show(lambda terminal: terminal.campaign({**result, "table": _by_loss(result["table"])}))
+        show(lambda terminal: _shown(terminal, result))
+
+
+def _shown(terminal: Any, result: Mapping[str, Any]) -> RenderableType:
+    """The table of a campaign, and what it was."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from rotorwatch.report import plain, words
+
+    rows = _by_loss(result["table"])
+    columns = list(rows[0]) if rows else []
+    table = terminal.listing("Injected losses", *map(words, columns), right=range(len(columns)))
+    for row in rows:
+        table.add_row(*("–" if row[c] is None else plain(row[c]) for c in columns))
+    rest = Table.grid(padding=(0, 2))
+    for key in [key for key in result if key not in ("table", "flights", "trials", "runs")]:
+        rest.add_row(Text(words(key), style="dim"), Text(plain(result[key])))
+    return Group(table, Text(), rest)
 
 
 def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

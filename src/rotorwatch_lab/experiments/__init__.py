@@ -3,6 +3,7 @@
 tools.py            shares and rates with intervals, tables, parts done in processes
 counting.py         what is found, right, late, and a false alarm: one definition
 limits.py           the best that any method could do
+known_losses.py     what it asks of ticks whose losses are known, as a definition
 inject.py           losses put into healthy flights
 labels.py           lists of flights whose faults are known
 rival_detector.py   somebody's own detector beside rotorwatch, for evaluate

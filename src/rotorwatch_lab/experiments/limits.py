@@ -27,6 +27,8 @@ import numpy as np
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.toolkit import PER_AXIS, PLANT_STATES, program
+from rotorwatch_lab.experiments import known_losses
+from rotorwatch_lab.experiments.known_losses import KNOWN_LOSSES
 
 Array = Any
 
@@ -141,9 +143,9 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
     decay, P0 = known.plant["decay"][0, :states], known.plant["variance"][0]
     C, H, Q, R, variances = [], [], [], [], []
     for k in range(len(u)):
-        h, _ = program.balance(u[k], known.plant)
+        h, _ = balance(u[k], known.plant)
         lost = np.einsum("tai,ti->ta", h[:, :, states:], theta[k])
-        learned = program.noise_of(u[k], np.where(valid[k], y[k], 0.0) - lost, valid[k], flying[k], known.plant)
+        learned = noise_of(u[k], np.where(valid[k], y[k], 0.0) - lost, valid[k], flying[k], known.plant)
         C.append(h[:, :, :states])
         H.append(h[:, :, states + rotor[k]])
         Q.append(_walks(learned, known.plant["left"][0], dt))
@@ -152,6 +154,40 @@ def on_ticks(B, u, y, valid, flying, theta, rotor, onset, dt: float, batch: bool
     bounds = _program()(decay, P0, *map(np.stack, (C, H, Q, R)), flying, valid, onset)
     bound = Bound(np.asarray(bounds), np.stack(variances))
     return bound if batch else Bound(bound.information[0], bound.variances[0])
+
+
+def balance(u: np.ndarray, vehicle: Any) -> tuple[np.ndarray, np.ndarray]:
+    """h (T, 4, n_x + n) and drag (T, n): the wrench of a tick is h [x; theta], in yaw less the sum of drag, for a state without another
+    share. u (T, n + 13 or more): as `program.inputs` begins; vehicle: the plant of the default estimator's `Steps`."""
+    n = int(vehicle["rotors"][0])
+    out = KNOWN_LOSSES.array(known_losses.Rows, len(u))
+    KNOWN_LOSSES.call(known_losses.measure, _plant(vehicle), len(u), _ticks(u, n), out)
+    return out["h"][:, :, : PLANT_STATES + n], out["drag"][:, :n]
+
+
+def noise_of(u: np.ndarray, y: np.ndarray, valid: np.ndarray, flying: np.ndarray, vehicle: Any) -> np.ndarray:
+    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less their effect; flying (T,); else as `balance`."""
+    model = KNOWN_LOSSES.new(known_losses.Noise)
+    ticks = _ticks(u, int(vehicle["rotors"][0]), wrench=y, valid=valid.astype(bool))
+    KNOWN_LOSSES.call(known_losses.learn, _plant(vehicle), len(u), ticks, np.ascontiguousarray(flying, bool), model)
+    return model["v"][0] / model["safety"][0]
+
+
+def _plant(vehicle: Any) -> Any:
+    """The default estimator's plant, for this definition."""
+    made, given = KNOWN_LOSSES.new(known_losses.Plant), ("rotors", "dt", "effect", "lower", "mean", "variance", "noise", "noise_weight")
+    made.set(**{name: vehicle[name][0] for name in given})
+    return made
+
+
+def _ticks(u: np.ndarray, n: int, **measured: np.ndarray) -> Any:
+    """Inputs of the ticks. measured: their wrench and its validity."""
+    made = KNOWN_LOSSES.array(known_losses.Inputs, len(u))
+    made.fill(
+        thrust=u[:, :n], turn=u[:, n : n + 3], load=u[:, n + 3], rate=u[:, n + 4 : n + 7], forward=u[:, n + 7], right=u[:, n + 8],
+        full=u[:, n + 9], expo=u[:, n + 10], expo_sd=u[:, n + 11], axial=np.nan_to_num(u[:, n + 12]), **measured,
+    )  # fmt: skip
+    return made
 
 
 def _walks(variances: np.ndarray, left: np.ndarray, dt: float) -> np.ndarray:

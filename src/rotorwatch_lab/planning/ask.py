@@ -28,6 +28,7 @@ from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.toolkit import READY_S, TAU, airborne, events, excitation_response, observe, program, usual_gains
 from rotorwatch_lab.control import excitation
 from rotorwatch_lab.control.excitation import Design, Limits, Noise
+from rotorwatch_lab.planning.question import Question, pose, suspects
 
 # Of the thrust of simulated multirotors of 1 to 8 kg in winds of 2 to 4 m/s, in hover thrusts of one rotor.
 USUAL_NOISE = (0.025**2, 0.0, 0.02**2, 0.2**2)
@@ -175,7 +176,7 @@ def ask(
             "The noise is that of simulated multirotors in a light wind; a log of the vehicle says it better.",
         )
         usual = np.full(n, HOVER if hover is None else hover)
-        question = excitation_response.Question(hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
+        question = Question(hypotheses, usual, Noise(np.array(USUAL_NOISE), np.array(TAU)), gain, tick_s)
     about = question.hover, question.noise, question.gain, question.dt
     design = excitation.design(B, list(hypotheses.values()), *about, limits, longest_s=within_s)
     rotor_sets = tuple(tuple(k + 1 for k in c) for c in hypotheses)
@@ -211,7 +212,7 @@ def _candidates(sets: Sequence[Sequence[int]], loss: float | Sequence[float], n:
     return losses
 
 
-def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, excitation_response.Question]:
+def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, Question]:
     """(name, B, question) of a log whose answer is ambiguous. Raises ConfigError if it is not."""
     flight = subject if isinstance(subject, Flight) else logs.read(subject)
     craft = vehicle or airframes.identify(flight)
@@ -222,7 +223,7 @@ def _of_log(subject: Any, vehicle: Vehicle | None) -> tuple[str, np.ndarray, exc
     B = craft.effectiveness()
     carry, out = program.estimate(table, B)
     unsure = [e for e in events.read(out, table, B) if e.alternatives]
-    sets = excitation_response.candidates(unsure[-1], B) if unsure else excitation_response.suspects(carry, out, table, B)
+    sets = excitation_response.candidates(unsure[-1], B) if unsure else suspects(carry, out, table, B)
     if not sets:
         raise ConfigError("The diagnosis of this log names no alternatives, and its trim has not changed: there is nothing to ask.")
-    return craft.name, B, excitation_response.question(sets, carry, table, B)
+    return craft.name, B, pose(sets, carry, table, B)

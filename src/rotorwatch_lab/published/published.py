@@ -23,7 +23,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight.method_series import INTERVAL, MethodSeries, joined
 from rotorwatch.toolkit import JUDGE, PLACES, Estimation, Hypotheses, TickOutput, Ticks, list_hypotheses, program, rotor_sets
 from rotorwatch_lab.compiling.run import chosen, run, run_built
-from rotorwatch_lab.published import decide, log_plant, own
+from rotorwatch_lab.published import decide, log_plant, origin, own
 from rotorwatch_lab.published.log_plant import LogPlant
 from rotorwatch_lab.published.own import Own
 
@@ -144,7 +144,7 @@ def builder(name: Any, dt: float, keywords: tuple = (), decisions: Decisions = (
     """build(parameters) for run_built: one compiled program for every flight with as many rotors. Native code is kept under the name of
     the method; one of another package, or passed as an object, has none, because its source may change."""
     build = functools.partial(watched, name, dt, keywords, decisions)
-    ours = isinstance(name, str) and discovery.source(discovery.estimator(name)).package == "rotorwatch"
+    ours = isinstance(name, str) and origin.source(discovery.estimator(name)).package == "rotorwatch"
     return build if ours else lambda p: build(p)
 
 

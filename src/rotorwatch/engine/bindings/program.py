@@ -13,9 +13,9 @@ from rotorwatch.core import Array
 from rotorwatch.engine.bindings.hypothesis_list import Hypotheses
 from rotorwatch.engine.bindings.plant_rows import any_air, any_multirotor, lower_rotors, packed
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.estimator import announcement, batch, estimator, estimator_sizes, known, noise, plant
+from rotorwatch.engine.estimator import announcement, batch, estimator, estimator_sizes, noise, plant
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
-from rotorwatch.engine.estimator.plant import AIR, SHARE, THETA, Plant, Rows
+from rotorwatch.engine.estimator.plant import AIR, SHARE, Plant
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.tick_table import AGAIN, TICKS_S, Ticks
@@ -114,23 +114,6 @@ def threshold(n: int, dt: float) -> float:
     vehicle = Plant()
     vehicle.rotors, vehicle.dt = n, dt
     return announcement.threshold(vehicle, announcement.GATES * FALSE_ALARM_PERIOD_S)
-
-
-def balance(u: np.ndarray, vehicle: running.Rows) -> tuple[np.ndarray, np.ndarray]:
-    """h (T, 4, n_x + n) and drag (T, n): the wrench of a tick is h [x; theta], in yaw less the sum of drag, for a state without
-    another share. u (T, n + 13 or more): inputs, of which `packed` makes the first; vehicle: the plant of `Steps`."""
-    n, count = int(vehicle["rotors"][0]), len(u)
-    out, rows = ENGINE.array(Rows, count), np.ascontiguousarray(u[:, : n + 13], float)
-    ENGINE.call(known.measure, vehicle, count, rows, out)
-    return out["h"][:, :, : THETA + n], out["drag"][:, :n]
-
-
-def noise_of(u: np.ndarray, y: np.ndarray, valid: np.ndarray, flying: np.ndarray, vehicle: running.Rows) -> np.ndarray:
-    """Variances (4, 4) of the noise in ticks without losses: y (T, 4) is the wrench less their effect; flying (T,); else as `balance`."""
-    n, model = int(vehicle["rotors"][0]), ENGINE.new(noise.Noise)
-    tables = u[:, : n + 13].astype(float), y.astype(float), valid.astype(bool), flying.astype(bool)
-    ENGINE.call(known.learn, vehicle, len(u), *map(np.ascontiguousarray, tables), model)
-    return model["v"][0] / model["safety"][0]
 
 
 def estimate(table: Ticks, B: np.ndarray, dynamics=None, progress: Callable[[float], object] | None = None):

@@ -59,7 +59,7 @@ _FALLING = 0.75 * G0  # specific force below which a vehicle with idle motors is
 _LYING_S = 1.0
 _STILL = 0.5  # rad/s: faster rotation excludes resting on the ground
 _BLOW = 1.2 * G0  # lateral specific force, or half of it downwards, beyond what rotors can produce: from the ground
-_LEVER_M = 0.05  # of an accelerometer from the axis of a spin: its centripetal force is no blow
+LEVER_M = 0.05  # of an accelerometer from the axis of a spin: its centripetal force is no blow
 BLOW_S = 3.0  # a shock this long before the end of a flight was the touch-down or the crash
 _WINDOW_S = 0.5
 _FRESH_S = 1.0  # age beyond which a measurement is unknown
@@ -209,7 +209,7 @@ class Airborne(Struct):
         """Specific force, body FRD, m/s^2."""
         self.walk(time, False)
         self.force.add(time, sqrt(x * x + y * y + z * z) if valid else NAN, -z if valid else NAN)
-        most = _BLOW + _LEVER_M * self.spin
+        most = _BLOW + LEVER_M * self.spin
         if valid and (x * x + y * y > most * most or z > most - _BLOW / 2.0):
             self.blow = time
 

@@ -13,6 +13,7 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.engine.motion.allocation import Spans, within
 from rotorwatch.flight import Flight
+from rotorwatch.logs.plausible import NAMED
 
 LEAST_S, MOST_S = 0.3, 5.0  # how long outputs repeat
 LEAST = 3  # samples that repeat
@@ -21,7 +22,6 @@ ENOUGH = 64  # outputs needed to learn how they follow the rate controller
 STEPS, SIGMAS = 2.0, 6.0  # steps of the outputs' resolution, and usual deviations, by which they would have changed
 ROTORS, AT_LIMIT = 2, 0.02  # at least so many of them; share of their range in the air at its ends
 LIVELY, CHANCE = 0.5, 1e-3  # share of the flight's usual rotation, and the accepted chance probability of such a run
-NAMED = 3  # times that a warning lists
 
 
 def without_missed(flight: Flight, air: Spans) -> Flight:

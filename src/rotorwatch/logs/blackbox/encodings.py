@@ -16,17 +16,9 @@ TAG8_8SVB, TAG2_3S32, TAG8_4S16, NOTHING, TAG2_3SVARIABLE, ELIAS_GAMMA_S32 = 6, 
 
 def signed_vb(data: Bytes, at: int, out: Ints, first: int, last: int) -> int:
     """Bytes of seven bits, the lowest first, the sign in the lowest bit of all."""
+    at = unsigned_vb(data, at, out, first, last)
     for i in range(first, last):
-        byte = data[at]
-        at += 1
-        value = byte & 127
-        shift = 7
-        while byte > 127 and shift < 35:
-            byte = data[at]
-            at += 1
-            value |= shift32(byte & 127, shift)
-            shift += 7
-        out[i] = (value >> 1 & 0x7FFFFFFF) ^ -(value & 1)
+        out[i] = (out[i] >> 1 & 0x7FFFFFFF) ^ -(out[i] & 1)
     return at
 
 
@@ -96,24 +88,17 @@ def tag2_3svariable(data: Bytes, at: int, out: Ints, place: int) -> int:
     """Three numbers of 2 bits each, of 5, 5 and 4, of 8, 7 and 7, or of 1 to 4 bytes."""
     lead = data[at]
     how = lead >> 6
-    at += 1
-    if how == 0:
-        out[place] = _extended(lead >> 4, 2)
-        out[place + 1] = _extended(lead >> 2, 2)
-        out[place + 2] = _extended(lead, 2)
-    elif how == 1:
+    if how == 0 or how == 3:
+        return tag2_3s32(data, at, out, place)
+    if how == 1:
         out[place] = _extended(lead >> 1, 5)
-        out[place + 1] = _extended(lead << 4 | data[at] >> 4, 5)
-        out[place + 2] = _extended(data[at], 4)
-        at += 1
-    elif how == 2:
-        out[place] = _extended(lead << 2 | data[at] >> 6, 8)
-        out[place + 1] = _extended(data[at] << 1 | data[at + 1] >> 7, 7)
-        out[place + 2] = _extended(data[at + 1], 7)
-        at += 2
-    else:
-        at = _whole_bytes(data, at, out, place, lead)
-    return at
+        out[place + 1] = _extended(lead << 4 | data[at + 1] >> 4, 5)
+        out[place + 2] = _extended(data[at + 1], 4)
+        return at + 2
+    out[place] = _extended(lead << 2 | data[at + 1] >> 6, 8)
+    out[place + 1] = _extended(data[at + 1] << 1 | data[at + 2] >> 7, 7)
+    out[place + 2] = _extended(data[at + 2], 7)
+    return at + 3
 
 
 def tag8_4s16(data: Bytes, at: int, out: Ints, place: int) -> int:

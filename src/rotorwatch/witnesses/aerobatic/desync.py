@@ -27,6 +27,7 @@ from rotorwatch.answer.ledger import explained
 from rotorwatch.answer.wording import said
 from rotorwatch.engine.estimator.hypotheses import CLEAR
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
+from rotorwatch.engine.intake.craft import YAW
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event, Source
@@ -56,7 +57,6 @@ SIZES = np.linspace(-1.2, 2.4, 19)  # theta
 LEAST_SIZE, MOST_SIZE = 0.5, 1.4
 ROUGHER = (1.0, 1.4, 2.0, 2.8)  # times the scale within a second: propwash lasts less
 SLOWER_S = (0.0, 0.015, 0.03)  # than a commanded change of speed
-YAW = 2
 UNEVEN = 0.3  # of the ratio: gain allowed to separate sizes of roll and pitch; gains are known to about 20 %
 RETURNS_S = (0.15, 0.3)  # after its end: interval in which the motor must have recovered
 AROUND_S, LEFT = 0.3, 0.5  # s before and after; the rotor lacks less than this share there

@@ -15,6 +15,7 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.base.progress import portion
+from rotorwatch.engine.intake.airborne import LEVER_M
 from rotorwatch.engine.motion.air_spans import commands, output_range
 from rotorwatch.flight import Flight, Signal
 
@@ -41,7 +42,6 @@ SINKS_M_S, NEARLY_FULL = 4.0, 0.85  # down, with all outputs above this share of
 REST = 0.015  # share of the range up to which an output is at idle
 POWERED = 0.1  # share of the range of commands
 HITS_G = 2.0  # g from the side or from above, twice as much from below: more than any rotor gives; an impact
-LEVER_M = 0.05  # m of an accelerometer from the axis of a spin: its centripetal force is no blow
 # Soon after an impact on the ground a vehicle lies still for this long; its height does not fall on. Where the log ends sooner, the
 # ground is assumed to have ended it.
 RESTS_RAD_S, BIAS_RAD_S, RESTS_S, RESTS_SOON_S, CUT_S = 0.3, 3.0, 0.5, 5.0, 1.5

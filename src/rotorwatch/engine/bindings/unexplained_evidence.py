@@ -11,11 +11,12 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE
 
 
-def _residual_explained(claim: Event, known: Event) -> bool:
-    return known.kind == EVIDENCE and known.source.name != RESIDUAL.name
+def _shown_otherwise(claim: Event, known: Event) -> bool:
+    return known.kind == EVIDENCE and known.source.name != OPENED.name
 
 
-RESIDUAL = Source("residual", 12, _residual_explained)
+OPENED = Source("opened", 12, _shown_otherwise)
+"""Of losses that a comparison opened (witnesses/rivals.py): announced, but other explanations are as likely."""
 
 
 def claim(
@@ -24,7 +25,7 @@ def claim(
     end_s: float,
     interval: tuple[tuple[float, float], ...] = (),
     probability: float = 0.5,
-    source: Source = RESIDUAL,
+    source: Source = OPENED,
 ) -> Event:
     """Evidence against each of these rotors (1-based), from start to end [s]; interval: of the loss of each, 95 %, where known."""
     return Event(EVIDENCE, rotors, start_s, end_s, end_s, (), interval, probability, source=source)
