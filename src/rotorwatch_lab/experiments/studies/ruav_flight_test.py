@@ -189,7 +189,7 @@ class _Loop(NamedTuple):
         return (truth, y, xi, integral, filtered), (truth.x, truth.attitude, truth.place, U, truth.theta, middle, half)
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def _program(name: str, form: str, literal: tuple[str, ...]):
     """(compiled (knobs, state, u (T, 11), y (T, 12)) -> (state, seen), state at the start)."""
     estimator, system = ruav_filters.filters(ruav_flight.plant(stops=False), literal, form)[name], ruav_flight.plant()
