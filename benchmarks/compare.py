@@ -1,6 +1,7 @@
 """Write docs/comparison.md and docs/comparison.csv: all methods on the same simulated flights, and which of them keep a vehicle up.
 
-    python benchmarks/compare.py [--jobs 2] [--frames quad-x] [--closed-loop] [--out FOLDER] [--methods NAME,NAME --name -more]
+    python benchmarks/compare.py [--jobs 2] [--frames quad-x] [--flights 256] [--closed-loop] [--out FOLDER]
+                                 [--methods NAME,NAME --name -more]
 
 Runs `rotorwatch benchmark` on the plans in benchmarks/comparison and, with --closed-loop, `rotorwatch closed-loop
 plans/survival-methods.toml`; without, that part of the page stays as it is. Results are kept in --out: what is there is not flown again,
@@ -149,6 +150,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--jobs", type=int)
     arguments.add_argument("--frames", default=",".join(FRAMES), help="whose tables are made")
+    arguments.add_argument("--flights", type=int, help="of a frame, instead of its plan's number")
     arguments.add_argument("--closed-loop", action="store_true", help="also fly with the estimates in the loop")
     arguments.add_argument("--methods", default="all")
     arguments.add_argument("--name", default="", help="of a run of other methods, such as -new: its rows join those that are kept")
@@ -159,7 +161,8 @@ def main() -> None:
     for frame in options.frames.split(","):
         out = options.out / f"{frame}{options.name}.json"
         if not out.exists():
-            plan = ROOT / "benchmarks" / "comparison" / f"{frame}.toml"
+            plan = benchmark.read(ROOT / "benchmarks" / "comparison" / f"{frame}.toml")
+            plan = plan._replace(flights=options.flights or plan.flights)
             benchmark.run(plan, options.methods.split(","), out, options.jobs, notify=print)
         ranked.append(ranking.rank(sorted(options.out.glob(f"{frame}*.json"))))
     put("frames", table(ranked[0]) + (others(ranked[1:]) if ranked[1:] else ""))

@@ -211,14 +211,11 @@ fewer than {FEW} only in *all*): of every rotor, and of the rotors that lost thr
 interval, 100 for a bound. Last column: median half-width (all steps and rotors of a flight; mean over flights), and RMS error of the
 rotors that lost thrust.
 
-**These figures are from before trims were learned in hover.** Learned in the climb, they made every method say -9.5 % of all rotors in
-hover; the table above, of simulated flights, is of the present state.
-
 {table(data)}
 A covariance covers the noise that the method assumes, not wind, air through the rotors and the battery. A threshold on such an interval
 accuses healthy rotors; `diagnose` decides on the direction of the missing wrench and the scatter of the flight instead. On hexas and octas
-more losses are estimated than the log shows at once: AXKF's intervals then hold nearly anything. AESMF's bounds hold the truth, and are the
-widest on quads.
+more losses are estimated than the log shows at once: AXKF's intervals widen until the commands move. AESMF's bounds hold the truth most
+often, not always, and are wide.
 
 Three of the flights, with the truth dashed:
 

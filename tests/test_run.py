@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from rotorwatch_lab.compiling.run import CHUNK, run_built
+from rotorwatch_lab.compiling.run import CHUNK, run_built, stepper
 
 
 class Counter:
@@ -72,6 +72,19 @@ def test_a_table_in_two_parts_is_the_same_when_the_carry_is_handed_on():
         end, (second, _) = run_built(build, {"gain": 1.0}, t.u[cut:], t.y[cut:], t.valid[cut:], carry=carry)
         np.testing.assert_array_equal(np.concatenate([first, second]), whole)
         assert end["steps"] == last["steps"] == len(t.u)
+
+
+@pytest.mark.parametrize("backend", ["jax", "auto"])
+def test_steps_of_a_short_table_are_the_same_by_any_engine(monkeypatch, backend):
+    monkeypatch.setenv("ROTORWATCH_BACKEND", backend)
+    t, over = table(9), stepper(build)
+    for gain in (0.5, 2.0):
+        carry = Counter(gain).init()
+        for rows in (slice(0, 5), slice(5, 9)):
+            carry, (total, steps) = over({"gain": gain}, carry, t.u[rows], t.y[rows])
+        expected = by_hand(SimpleNamespace(u=t.u, y=t.y, valid=np.ones((9, 2), bool)), gain)
+        np.testing.assert_allclose(total, expected[5:], rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(steps, np.arange(6, 10))
 
 
 def test_progress_grows_to_one():

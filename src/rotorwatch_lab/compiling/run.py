@@ -185,3 +185,17 @@ def run_built(
         if progress:
             progress(min(1.0, (start + size) / max(count, 1)))
     return carry, jax.tree.map(lambda *a: np.concatenate(a), *parts)
+
+
+def stepper(build: Callable) -> Callable:
+    """Compiled (parameters, carry, u (T, n_u), y (T, n_y)) -> (carry, outputs) of the steps of build(parameters): by `engine`. Unlike
+    `run_built` with JAX it makes a program for each T: for tables that are short, or of one length."""
+    if engine() == "native":
+        return lambda parameters, carry, u, y: run_built(build, parameters, u, y, np.ones(y.shape, bool), carry=carry, backend="native")
+    jax = load_jax()
+
+    def over(parameters, carry, u, y):
+        one, valid = build(parameters), jax.numpy.ones(y.shape[1], bool)
+        return jax.lax.scan(lambda state, row: one.step(state, *row, valid), carry, (u, y))
+
+    return jax.jit(over)

@@ -15,6 +15,7 @@ import numpy as np
 
 from rotorwatch.base import checks
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch_lab.compiling.run import stepper
 from rotorwatch_lab.estimators.ekf import EKF
 from rotorwatch_lab.experiments.studies import (
     reproduction,
@@ -108,27 +109,32 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
     return Reproduction(PAPER, TITLE, claims, figures, literal, seeds, series, _named(forms | flight_forms))
 
 
-def _program(run: Run) -> Callable:
-    """Compiled (u (N, T, 6), y (N, T, 6)) -> (z, P, restarts, q) of all steps, flight by flight."""
-    jax = load_jax()
-    start = ruav_filters.start(run.estimator)
+class _Filter(NamedTuple):
+    """A run in steps: its output is (z, P, restarts, q)."""
 
-    def step(state, row):
-        u, y = row
-        state, z, P = ruav_filters.step(run.estimator, state, u, y, run.restart)
-        q = jax.numpy.ones(()) if ruav_filters.is_kalman(run.estimator) else state[0].q
+    run: Run
+
+    def init(self):
+        return ruav_filters.start(self.run.estimator)
+
+    def step(self, state, u, y, valid):
+        filter_, restart = self.run
+        state, z, P = ruav_filters.step(filter_, state, u, y, restart)
+        q = load_jax().numpy.ones(()) if ruav_filters.is_kalman(filter_) else state[0].q
         return state, (z, P, state[1], q)
 
-    def over(row):
-        return jax.lax.scan(step, start, row)[1]
 
-    return jax.jit(lambda u, y: jax.lax.map(over, (u, y)))
+def _program(run: Run) -> Callable:
+    """Compiled (u (N, T, 6), y (N, T, 6)) -> [(z, P, restarts, q) of all steps] of each flight."""
+    one = _Filter(run)
+    start, over = one.init(), stepper(lambda _: one)
+    return lambda u, y: [over((), start, *row)[1] for row in zip(u, y, strict=True)]
 
 
 def _judged(program: Callable, flights) -> tuple[dict, dict]:
     """Statistics of one filter over all flights, and one flight's bounds for the picture. restarts: also how often a set that does not
     start again was empty; outgrown_s: when, without any fault, the bounds are first wider than what is KNOWN."""
-    z, P, count, q = (np.asarray(part) for part in program(flights.u, flights.y))
+    z, P, count, q = (np.stack(part) for part in zip(*program(flights.u, flights.y), strict=True))
     fault, late, last = (round(s / DT) for s in (FAULT_S, FAULT_S + SETTLE_S, ruav_flight.SECONDS - 5.0))
     truth = np.concatenate([flights.x, flights.theta], axis=-1)
     half = np.sqrt(np.diagonal(P, axis1=-2, axis2=-1))

@@ -20,6 +20,7 @@ import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.base.physics import G0
+from rotorwatch_lab.compiling.run import stepper
 from rotorwatch_lab.experiments.studies import reproduction, ruav_control, ruav_filters, ruav_flight
 from rotorwatch_lab.experiments.studies.reproduction import Claim, Verdict, graded, panels, silent
 from rotorwatch_lab.experiments.studies.ruav_control import Designs
@@ -74,10 +75,10 @@ class Flown(NamedTuple):
 
 def fly(name: str, setting: Setting, designs: Designs, form: str = "own", literal: tuple[str, ...] = ()) -> Flown:
     """The flight on the bounds of the filter `name` of `ruav_filters`, a set in that form. Deterministic."""
-    chunk, state, lift = _program(name, form, literal)
+    over, state = _program(name, form, literal)
     system = designs.system
     rows = _rows(setting)
-    fault = np.array(setting.fault), setting.restart, setting.eta, setting.floor
+    fault = np.array(setting.fault), np.array(setting.restart), setting.eta, setting.floor
     key = designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3))
     synthesis = designs.of(key)
     if synthesis is None:
@@ -85,7 +86,7 @@ def fly(name: str, setting: Setting, designs: Designs, form: str = "own", litera
     trim = system.trim
     parts, designed, excluded = [], 0, 0
     for k in range(0, len(rows[0]), REDESIGN):
-        state, part = chunk(state, tuple(row[k : k + REDESIGN] for row in rows), synthesis.K, trim, lift, *fault)
+        state, part = over(_Knobs(synthesis.K, trim, *fault), state, *(row[k : k + REDESIGN] for row in rows))
         parts.append(part)
         middle, half = np.asarray(part[5][-1]), np.asarray(part[6][-1])
         if not (np.isfinite(middle).all() and np.isfinite(half).all()):
@@ -136,49 +137,68 @@ def judged(flown: Flown) -> dict:
 
 
 def _rows(setting: Setting):
-    """Per step: push (6,), measurement error (6,), errors of attitude and place (6,), dither (4,), whether the fault comes now. Drawn from
-    step BEGIN's seed on."""
+    """Rows of `_Loop`: (T, 11) and (T, 12). Drawn from step BEGIN's seed on."""
     steps = setting.end - setting.begin
     push, error, wave = ruav_flight.weather(setting.seed, steps)
     blur = setting.sensors * ruav_flight.sensed(setting.seed, steps)
-    return push, error, blur, setting.dither * DITHER * wave, np.arange(steps) == FAULT_STEP - setting.begin
+    now = np.arange(steps) == FAULT_STEP - setting.begin
+    return np.column_stack([push, setting.dither * DITHER * wave, now]), np.column_stack([error, blur])
 
 
-@lru_cache(maxsize=4)
+class _Knobs(NamedTuple):
+    """What a flight's steps take besides their rows: controller K, trim command (4,), and a `Setting`'s fault, restart, eta, floor."""
+
+    K: Any
+    trim: Any
+    fault: Any
+    restart: Any
+    eta: Any
+    floor: Any
+
+
+class _Loop(NamedTuple):
+    """The closed loop in steps: u (11,) is push, dither and whether the fault comes now, y (12,) the errors of what is measured. lift:
+    climb per collective command."""
+
+    system: Any
+    estimator: Any
+    lift: float
+    knobs: _Knobs
+
+    def init(self):
+        zero = np.zeros
+        return ruav_flight.Truth.hover(), zero(6), zero(3), zero(3), ruav_filters.start(self.estimator)
+
+    def step(self, state, u, y, valid):
+        jnp, knobs, errors = load_jax().numpy, self.knobs, y
+        push, dither, now, error, blur = u[:6], u[6:10], u[10] > 0.5, errors[:6], errors[6:]
+        truth, y, xi, integral, filtered = state
+        attitude, place = truth.attitude + blur[:3], truth.place + blur[3:]
+        roll, pitch, turn, climb, integral = ruav_control.position_loop(place, attitude[2], y[:3], y[5], integral)
+        off = jnp.stack([attitude[0] - roll, attitude[1] - pitch])
+        slow = y[5] - turn
+        whole = jnp.concatenate([y[3:5], slow[None], off, xi])
+        xi = xi + DT * jnp.concatenate([off, (slow - xi[2] / ruav_control.LEAK_S)[None]])
+        U = jnp.clip(knobs.trim + jnp.concatenate([(climb / self.lift)[None], knobs.K @ whole]) + dither, 0.0, 1.0)
+        u, truth = truth.moved(self.system, U, push, now, knobs.fault)
+        y = truth.x + error
+        filter_ = _with(self.estimator, knobs.eta, knobs.floor)
+        filtered, z, P = ruav_filters.step(filter_, filtered, jnp.concatenate([u[:4], attitude[:2]]), y, knobs.restart)
+        half = jnp.sqrt(jnp.maximum(jnp.diagonal(P), 0.0))[6:]
+        middle = jnp.concatenate([1.0 - z[6:10], z[10:]])
+        return (truth, y, xi, integral, filtered), (truth.x, truth.attitude, truth.place, U, truth.theta, middle, half)
+
+
+@lru_cache(maxsize=8)
 def _program(name: str, form: str, literal: tuple[str, ...]):
-    """(compiled REDESIGN steps of flight, state at the start, climb per collective command)."""
-    estimator = ruav_filters.filters(ruav_flight.plant(stops=False), literal, form)[name]
-    jax = load_jax()
-    jnp = jax.numpy
-    system = ruav_flight.plant()
+    """(compiled (knobs, state, u (T, 11), y (T, 12)) -> (state, seen), state at the start)."""
+    estimator, system = ruav_filters.filters(ruav_flight.plant(stops=False), literal, form)[name], ruav_flight.plant()
     lift = float(ruav_flight.hover(system)[1][2, 0])
 
-    def chunk(state, rows, K, trim, lift, fault, restart, eta, floor):
-        knobs = _with(estimator, eta, floor)
+    def build(knobs):
+        return _Loop(system, estimator, lift, knobs)
 
-        def step(state, row):
-            truth, y, xi, integral, filtered = state
-            push, error, blur, dither, now = row
-            attitude, place = truth.attitude + blur[:3], truth.place + blur[3:]
-            roll, pitch, turn, climb, integral = ruav_control.position_loop(place, attitude[2], y[:3], y[5], integral)
-            off = jnp.stack([attitude[0] - roll, attitude[1] - pitch])
-            slow = y[5] - turn
-            whole = jnp.concatenate([y[3:5], slow[None], off, xi])
-            xi = xi + DT * jnp.concatenate([off, (slow - xi[2] / ruav_control.LEAK_S)[None]])
-            U = jnp.clip(trim + jnp.concatenate([(climb / lift)[None], K @ whole]) + dither, 0.0, 1.0)
-            u, truth = truth.moved(system, U, push, now, fault)
-            y = truth.x + error
-            filtered, z, P = ruav_filters.step(knobs, filtered, jnp.concatenate([u[:4], attitude[:2]]), y, restart)
-            half = jnp.sqrt(jnp.maximum(jnp.diagonal(P), 0.0))[6:]
-            middle = jnp.concatenate([1.0 - z[6:10], z[10:]])
-            seen = (truth.x, truth.attitude, truth.place, U, truth.theta, middle, half)
-            return (truth, y, xi, integral, filtered), seen
-
-        return jax.lax.scan(step, state, rows)
-
-    zero = jnp.zeros
-    state = (ruav_flight.Truth.hover(), zero(6), zero(3), zero(3), ruav_filters.start(estimator))
-    return jax.jit(chunk), state, lift
+    return stepper(build), build(None).init()
 
 
 def _with(estimator, eta, floor):

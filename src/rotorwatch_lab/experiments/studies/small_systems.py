@@ -8,12 +8,14 @@ or moves away from the set's centre as fast as the filter's bound allows.
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
+from rotorwatch_lab.compiling.run import stepper
 from rotorwatch_lab.estimators.esmf import ESMF
+from rotorwatch_lab.maths import small
 
 DT, STEPS = 0.05, 150
 DRIFT = 0.1  # loss per second
@@ -92,50 +94,72 @@ def escapes(system, seeds: int, process=1.0, drift=(0.0, 0.0), **changes) -> int
     noise = rng.uniform(-1, 1, (seeds, STEPS, 4))
     noise[..., 1] = rng.uniform(size=(seeds, STEPS))
     drive = np.sin(0.17 * np.arange(STEPS))[None, :, None] * rng.uniform(0.5, 1.0, (seeds, 1, 1))
-    program = _program(type(system), tuple(changes.items()))
-    return int(np.asarray(program(first, noise, drive, process, *drift)).sum())
+    over, start = _program(type(system), tuple(changes.items()))
+    bounds = _Bounds(process, *drift)
+    starts = [(start, start.z + np.sqrt(np.diagonal(start.near_shape)) * one) for one in first]
+    return sum(int(np.sum(over(bounds, one, *rows)[1])) for one, *rows in zip(starts, drive, noise, strict=True))
+
+
+class _Bounds(NamedTuple):
+    """As of `escapes`: the filter's bound of the noise in true ones, the drift of theta, and the filter's bound of it."""
+
+    process: Any
+    drift: Any
+    allowed: Any
+
+
+class _Attacked(NamedTuple):
+    """A filter and its plant in steps, u (1,) the drive, y (4,) the noise's draws: the output is whether the truth is outside."""
+
+    system: Any
+    changes: dict
+    bounds: _Bounds
+
+    def filter(self) -> ESMF:
+        process, _, allowed = self.bounds
+        return ESMF(self.system, DT, **options(self.system, process=process * self.system.process, theta_drift=allowed, **self.changes))
+
+    def init(self):
+        carry = self.filter().init()
+        return carry, carry.z
+
+    def step(self, state, u, y, valid):
+        jnp, (carry, z), system, noise, tight = load_jax().numpy, state, self.system, y, self.filter()
+        moved = system.f(z[:2], u, z[2:], DT)
+        p = _outward(tight.unfactored(carry.shape), z - carry.z)[:2]
+        p = jnp.where(noise[1] > 0.3, p, noise[2:])  # mostly adversarial, sometimes anywhere on the bound
+        Q = np.diag(system.process**2)
+        w = Q @ p / jnp.maximum(jnp.sqrt(p @ Q @ p), 1e-12)
+        theta = jnp.clip(z[2:] + self.bounds.drift * DT * jnp.where(z[2:] < carry.near[2:], -1.0, 1.0), -1.0, 1.0)
+        z = jnp.concatenate([moved + w, theta])
+        away = jnp.where(noise[1] > 0.6, jnp.sign(z[0] - carry.z[0]), jnp.sign(noise[0]))
+        measured = system.h(z[:2], u, z[2:]) + away * jnp.asarray(system.measurement)
+        carry, _ = tight.step(carry, u, measured, jnp.ones(1, bool))
+        near, P = z - carry.near, carry.near_shape
+        out = _escaped(z - carry.z, tight.unfactored(carry.shape))
+        return (carry, z), out | _escaped(near[:2], P[:2, :2]) | _escaped(near[2:], P[2:, 2:])
+
+
+def _outward(P, d):
+    jnp = load_jax().numpy
+    scale = 1.0 / jnp.sqrt(jnp.diagonal(P))
+    return scale * small.solve(P * scale * scale[:, None], (scale * d)[:, None])[:, 0]
+
+
+def _escaped(d, P):
+    return ~((d @ _outward(P, d)) <= 1 + 1e-6)
 
 
 @functools.cache
 def _program(kind, changes):
-    """Compiled (first, noise, drive, process, drift, allowed) -> (seeds, STEPS) True where the truth is outside; one per plant and mode."""
-    jax = load_jax()
-    jnp, lax = jax.numpy, jax.lax
-    system = kind()
-    Q = jnp.diag(jnp.asarray(system.process) ** 2)
+    """(compiled (bounds, state, drive (T, 1), noise (T, 4)) -> (state, (T,) True where the truth is outside), the filter's start); one per
+    plant and mode."""
+    system, changed = kind(), dict(changes)
 
-    def outward(P, d):
-        scale = 1.0 / jnp.sqrt(jnp.diagonal(P))
-        return scale * jnp.linalg.solve(P * scale * scale[:, None], scale * d)
+    def build(bounds):
+        return _Attacked(system, changed, bounds)
 
-    def escaped(d, P):
-        return ~((d @ outward(P, d)) <= 1 + 1e-6)
-
-    def one(first, noise, drive, process, drift, allowed):
-        known = options(system, process=process * system.process, theta_drift=allowed, **dict(changes))
-        tight = ESMF(system, DT, **known)
-        carry = tight.init()
-        z = carry.z + jnp.sqrt(jnp.diagonal(tight.unfactored(jnp.asarray(carry.shape)))) * first
-
-        def step(state, row):
-            carry, z = state
-            noise, u = row
-            moved = system.f(z[:2], u, z[2:], DT)
-            p = outward(tight.unfactored(carry.shape), z - carry.z)[:2]
-            p = jnp.where(noise[1] > 0.3, p, noise[2:])  # mostly adversarial, sometimes anywhere on the bound
-            w = Q @ p / jnp.maximum(jnp.sqrt(p @ Q @ p), 1e-12)
-            theta = jnp.clip(z[2:] + drift * DT * jnp.where(z[2:] < carry.near[2:], -1.0, 1.0), -1.0, 1.0)
-            z = jnp.concatenate([moved + w, theta])
-            away = jnp.where(noise[1] > 0.6, jnp.sign(z[0] - carry.z[0]), jnp.sign(noise[0]))
-            y = system.h(z[:2], u, z[2:]) + away * jnp.asarray(system.measurement)
-            carry, _ = tight.step(carry, u, y, jnp.ones(1, bool))
-            near, P = z - carry.near, carry.near_shape
-            out = escaped(z - carry.z, tight.unfactored(carry.shape))
-            return (carry, z), out | escaped(near[:2], P[:2, :2]) | escaped(near[2:], P[2:, 2:])
-
-        return lax.scan(step, (carry, z), (noise, drive))[1]
-
-    return jax.jit(jax.vmap(one, (0, 0, 0, None, None, None)))
+    return stepper(build), build(_Bounds(1.0, 0.0, 0.0)).init()[0]
 
 
 def adversarial_escapes(seeds: int) -> int:
