@@ -27,6 +27,7 @@ from rotorwatch.engine.intake.front import Front
 from rotorwatch.engine.intake.sense import Plan
 from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
+from rotorwatch.engine.spin.turning import Spin
 
 PACE = 3.0  # ticks processed in pieces during the length of one
 FINAL_S = 60.0  # an event that ended longer ago is not withdrawn
@@ -49,6 +50,7 @@ class Engine(Struct):
     losses = embedded(Losses)
     report = embedded(Report)
     trim = embedded(Trim)
+    spin = embedded(Spin)
     changes = embedded(Changes)
     reliance = embedded(Reliance)  # as of the last poll
     made = embedded(Made)  # the last tick, as measured
@@ -85,7 +87,7 @@ class Engine(Struct):
             if not self.underway:
                 self._write(v, p)
             return True
-        if self.trim.part(v) != IDLE:
+        if self.trim.part(v) != IDLE or self._spun(v, p):
             return True
         if self.due < 1.0 and not (self.landed and self.front.start < LASTS):
             return False
@@ -127,6 +129,8 @@ class Engine(Struct):
             return False
         self.estimator.step(e, self.now, self.out)
         self._write(v, p)
+        while self._spun(v, p):
+            pass
         return True
 
     def _next(self, v: Vehicle, p: Plan) -> bool:
@@ -140,8 +144,13 @@ class Engine(Struct):
         copy(self.tick, self.made)
         if self.tick.start <= self.fell < self.tick.when:
             self.tick.ground()
+        self.spin.tick(v, p.dt, self.front.queue, self.front.first, self.made.start)
         _tell(v, self.tick, self.now)
         return True
+
+    def _spun(self, v: Vehicle, p: Plan) -> bool:
+        """Do a piece of the due work on a spin; False where there is none."""
+        return self.spin.part(v, p.dt, self.front.queue, self.front.first, self.made.hover)
 
     def poll(self, v: Vehicle) -> int:
         """List the events and, in `fresh`, their changes since the last poll; return the number of changes."""
@@ -157,6 +166,7 @@ class Engine(Struct):
         else:
             overridden = self.front.deviations.found(v, room.overrides)
         count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        count = self.spin.join(self.events, count, EVENTS)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
         self.reliance.look(v, self.events, self.count, self.front.start, self.front.newest)
         final = self.front.newest - FINAL_S
@@ -167,8 +177,8 @@ class Engine(Struct):
         return main_event(self.events, self.count)
 
     def verdict(self) -> int:
-        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy."""
-        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
+        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin."""
+        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.turns())
 
     def _write(self, v: Vehicle, p: Plan) -> None:
         """Record the tick and the estimator's output."""
