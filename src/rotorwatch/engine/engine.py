@@ -25,7 +25,7 @@ from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.deviations import Override
 from rotorwatch.engine.intake.front import Front
 from rotorwatch.engine.intake.sense import Plan
-from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, RECORDS
+from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, QUEUE, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
 from rotorwatch.engine.spin.turning import Spin
 
@@ -116,6 +116,9 @@ class Engine(Struct):
         was = self.front.start
         self.front.sample(v, p, kind, time, x)
         self._look(was)
+        while self.spin.seen < self.front.taken:
+            last = self.front.first + self.front.count + self.spin.seen - self.front.taken
+            self.spin.tick(v, p.dt, self.front.queue[(last + QUEUE) % QUEUE], self.front.start)
 
     def end(self, v: Vehicle, p: Plan, time: Time) -> None:
         """No sample comes after `time` s."""
@@ -125,12 +128,12 @@ class Engine(Struct):
 
     def step(self, v: Vehicle, p: Plan, e: Plant) -> bool:
         """Process the next certain tick by the estimator and record it; False where there is none."""
+        while self._spun(v, p):
+            pass
         if not self._next(v, p):
             return False
         self.estimator.step(e, self.now, self.out)
         self._write(v, p)
-        while self._spun(v, p):
-            pass
         return True
 
     def _next(self, v: Vehicle, p: Plan) -> bool:
@@ -144,13 +147,12 @@ class Engine(Struct):
         copy(self.tick, self.made)
         if self.tick.start <= self.fell < self.tick.when:
             self.tick.ground()
-        self.spin.tick(v, p.dt, self.front.queue, self.front.first, self.made.start)
         _tell(v, self.tick, self.now)
         return True
 
     def _spun(self, v: Vehicle, p: Plan) -> bool:
         """Do a piece of the due work on a spin; False where there is none."""
-        return self.spin.part(v, p.dt, self.front.queue, self.front.first, self.made.hover)
+        return self.spin.part(v, p.dt, self.front.queue, self.front.first + self.front.count, self.front.ticks.hover)
 
     def poll(self, v: Vehicle) -> int:
         """List the events and, in `fresh`, their changes since the last poll; return the number of changes."""

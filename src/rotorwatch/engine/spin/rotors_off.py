@@ -13,7 +13,7 @@ WORKED_S = 1.5  # of controlled flight in which no rotor is off, to compare with
 # Standard deviations, root mean square over a second: beyond, even the likeliest set does not explain the motion, and none is named.
 FITS, FITS_S = 1.7, 1.0
 SURE_TICKS = 2  # one after the other
-SHOWS_S = 1.0  # after its onset, a rotor off is certain
+SHOWS_S = 2.0  # after its onset, a rotor off is certain
 BACK_S = 1.0  # a rotor that gives thrust again for this long has come back
 IDLE, IDLE_S = 0.3, 0.5  # mean demand in hover thrusts, and for how long: it has landed, or falls
 

@@ -13,6 +13,7 @@ from rotorwatch.engine.events.events import CONTACT, LOSS, OUTPUT_OVERRIDE, Even
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sense import Sensed
 from rotorwatch.engine.intake.sizes import QUEUE
+from rotorwatch.engine.intake.ticks import HOVER_LEARN_S
 from rotorwatch.engine.spin.rotors_off import RotorsOff, WentOff
 
 SPUN, SPUN_S = 10.0, 2.0  # rad/s of yaw, for so long
@@ -26,7 +27,6 @@ OFF = 0.4  # the motion shows a rotor on or off: one that lost half of its thrus
 EARLIER_S = 3.0  # a partial loss of the rotor that then stops
 SAME_ONSET_S = 0.4  # of an announcement: the ticks around it tell the onset better, later ones that of a total loss after a partial one
 SOON_S = 0.1  # before an onset: its accuracy
-KEPT = 3 * QUEUE // 4  # ticks before a spin that are used
 CATCHES_UP = 8  # ticks worked off in the time of one
 
 
@@ -43,35 +43,32 @@ class Spin(Struct):
     climb: Time = 0.0
     ticks: int = 0
     moved: int = 0  # ticks with a known speed
-    aloft: int = 0  # ticks of this flight so far
-    behind: Small = 0  # ticks that wait in the queue
+    seen: int = 0  # ticks so far
+    aloft: int = 0  # of this flight
+    behind: Small = 0  # ticks to be worked off, of those in the queue, where the last ones stay for some seconds
     due: Small = 0  # of these, worked off by now
-    newest: Time = -LASTS  # the last tick
     follows: bool = False
     watched: bool = True
 
-    def tick(self, v: Vehicle, dt: Time, rows: list[Sensed], first: int, start: Time) -> None:
-        """Notice a tick of dt s, the last one taken from the queue. rows, first: the queue, and its next tick; start: of its flight, LASTS
-        on the ground."""
-        row = rows[(first + QUEUE - 1) % QUEUE]
+    def tick(self, v: Vehicle, dt: Time, row: Sensed, start: Time) -> None:
+        """Notice a tick of dt s as it comes into the queue. start: of the flight, LASTS on the ground."""
         turning = abs(row.rate[2]) if row.rate_ok else 0.0
-        self.newest = row.time
-        self.aloft = min(self.aloft + 1, KEPT) if start < LASTS else 0
+        self.seen += 1
+        self.aloft = self.aloft + 1 if row.time >= start + HOVER_LEARN_S else 0
         if start >= LASTS:
             if self.follows:
                 self.off.landed(row.time)
             self.follows = False
             self.behind = 0
-            return
-        if self.follows:
-            self.behind += 1
+        elif self.follows:
+            self.behind = min(self.behind + 1, QUEUE)
             self.follows = row.time - self.until <= RECOVERS_S and not self.off.idle
         elif turning > SPUN and row.load_ok and dt <= SLOWEST_S and self.watched:
             self.follows = True
             self.behind = 1
             if start < self.flight or start > self.flight:
                 self.flight = start
-                self.behind = self.aloft
+                self.behind = min(self.aloft, 3 * QUEUE // 4)
                 self.until = -LASTS
                 self.off.begin(v, dt)
         if self.follows and turning > SPUN:
@@ -91,13 +88,12 @@ class Spin(Struct):
                 self.moved += 1
         self.due = min(self.due + CATCHES_UP, self.behind)
 
-    def part(self, v: Vehicle, dt: Time, rows: list[Sensed], first: int, hover: Real) -> bool:
-        """Do a piece of the due work; False where there is none. rows, first: the queue, and its next tick; hover: mean share of full
-        thrust that carries the vehicle."""
+    def part(self, v: Vehicle, dt: Time, rows: list[Sensed], end: int, hover: Real) -> bool:
+        """Do a piece of the due work; False where there is none. rows, end: the queue, and the place after its last tick; hover: mean
+        share of full thrust that carries the vehicle."""
         if self.due <= 0:
             return False
-        row = rows[(first + QUEUE - self.behind) % QUEUE]
-        if row.time > self.newest or self.off.part(v, dt, row, hover):  # or it has been overwritten, after a long backlog
+        if self.off.part(v, dt, rows[(end + QUEUE - self.behind) % QUEUE], hover):
             self.behind -= 1
             self.due -= 1
         return True
