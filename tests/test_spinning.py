@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import onboard_law
 from tests.spinning_flights import HOVER_S, IDLE_S, fly
 
 from rotorwatch import diagnose
+from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.definition import ENGINE, craft
 from rotorwatch.engine.intake.sense import Sensed
@@ -106,6 +108,31 @@ def test_a_loss_that_ends_is_said_to_be_over():
     ends = {e.rotors: e.end_s for e in diagnosis.events if e.kind == LOSS}
     assert set(ends) == {(1,), (2,)}
     assert all(end is not None and BEGINS_S + 10.0 < end < BEGINS_S + 12.0 for end in ends.values())
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    """(events, verdict) of a flight by the C library in single precision, fed by a loop of 100 Hz. All have the same rates: one library."""
+    folder = tmp_path_factory.mktemp("board")
+
+    def told(losses):
+        flight, vehicle = flown(losses)
+        events, verdict, _ = onboard_law.events_in_c(folder, onboard_law.on_board(flight, 100.0, vehicle), single=True)
+        return [dict(zip(("kind", "onset", "detected", "end", "rotors", "loss", "lower"), e)) for e in events], verdict
+
+    return told
+
+
+@pytest.mark.parametrize("losses", [ONE, THEN_OPPOSITE, AT_ONCE, OVER])
+def test_a_board_tells_what_a_log_tells(board, losses):
+    events, verdict = board(losses)
+    desk = {sum(1 << r - 1 for r in e.rotors): e for e in answer(losses).events if e.kind == LOSS}
+    assert verdict == 2 and {int(e["rotors"]) for e in events} == set(desk), "a fault, and no contact or other rotor"
+    for e in events:
+        same = desk[int(e["rotors"])]
+        assert e["onset"] == pytest.approx(same.onset_s, abs=0.15)
+        assert e["end"] >= LASTS if same.end_s is None else e["end"] == pytest.approx(same.end_s, abs=0.5)
+        assert e["lower"] > 0.3
 
 
 def test_rotors_that_carried_no_part_before_are_not_named():

@@ -180,7 +180,7 @@ class Engine(Struct):
 
     def verdict(self) -> int:
         """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin."""
-        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.turns())
+        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.spun)
 
     def _write(self, v: Vehicle, p: Plan) -> None:
         """Record the tick and the estimator's output."""

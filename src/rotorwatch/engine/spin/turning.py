@@ -17,6 +17,7 @@ from rotorwatch.engine.intake.ticks import HOVER_LEARN_S
 from rotorwatch.engine.spin.rotors_off import RotorsOff, WentOff
 
 SPUN, SPUN_S = 10.0, 2.0  # rad/s of yaw, for so long
+TURNS = 3.0  # rad/s: it may begin to spin, which takes some a few seconds
 PAUSE_S = 1.0  # shorter pauses do not end a spin
 SLOWEST_S = 0.2  # ticks: slower ones are no averages
 RECOVERS_S = 5.0  # after a spin, in which rotors come back
@@ -37,6 +38,7 @@ class Spin(Struct):
     off = embedded(RotorsOff)
     since: Time = LASTS
     until: Time = -LASTS
+    turned: Time = -LASTS  # when it turned last
     flight: Time = LASTS  # start of the flight that `off` is of
     level: Time = 0.0  # sums over the ticks of the spin: cosine of the tilt, load factor, speed up along the thrust axis
     load: Time = 0.0
@@ -44,33 +46,33 @@ class Spin(Struct):
     ticks: int = 0
     moved: int = 0  # ticks with a known speed
     seen: int = 0  # ticks so far
-    aloft: int = 0  # of this flight
+    passed: int = 0  # of this flight, not followed
     behind: Small = 0  # ticks to be worked off, of those in the queue, where the last ones stay for some seconds
     due: Small = 0  # of these, worked off by now
     follows: bool = False
+    spun: bool = False  # it has spun for long in this flight, whatever the reason
     watched: bool = True
 
     def tick(self, v: Vehicle, dt: Time, row: Sensed, start: Time) -> None:
         """Notice a tick of dt s as it comes into the queue. start: of the flight, LASTS on the ground."""
         turning = abs(row.rate[2]) if row.rate_ok else 0.0
         self.seen += 1
-        self.aloft = self.aloft + 1 if row.time >= start + HOVER_LEARN_S else 0
         if start >= LASTS:
-            if self.follows:
-                self.off.landed(row.time)
             self.follows = False
             self.behind = 0
+            self.passed = 0
         elif self.follows:
             self.behind = min(self.behind + 1, QUEUE)
-            self.follows = row.time - self.until <= RECOVERS_S and not self.off.idle
-        elif turning > SPUN and row.load_ok and dt <= SLOWEST_S and self.watched:
-            self.follows = True
-            self.behind = 1
-            if start < self.flight or start > self.flight:
-                self.flight = start
-                self.behind = min(self.aloft, 3 * QUEUE // 4)
-                self.until = -LASTS
-                self.off.begin(v, dt)
+            self.turned = row.time if turning > TURNS else self.turned
+            self.follows = row.time - self.turned <= RECOVERS_S
+        elif row.time >= start + HOVER_LEARN_S:
+            self.passed += 1
+            if start < self.flight or start > self.flight:  # a new one: what was off before is another matter
+                self.off.landed(self.until)
+                self.spun = False
+            if turning > TURNS and row.load_ok and dt <= SLOWEST_S and self.watched:
+                self._begin(v, dt, start)
+                self.turned = row.time
         if self.follows and turning > SPUN:
             if row.time - self.until > PAUSE_S and self.until - self.since < SPUN_S:
                 self.since = row.time
@@ -86,7 +88,18 @@ class Spin(Struct):
             if not isnan(row.axial):
                 self.climb += row.axial
                 self.moved += 1
+            self.spun = self.spun or self._turns()
         self.due = min(self.due + CATCHES_UP, self.behind)
+
+    def _begin(self, v: Vehicle, dt: Time, start: Time) -> None:
+        """Follow the ticks from those before on."""
+        self.follows = True
+        self.behind = min(self.passed, 3 * QUEUE // 4)
+        self.passed = 0
+        if start < self.flight or start > self.flight:
+            self.flight = start
+            self.until = -LASTS
+            self.off.begin(v, dt)
 
     def part(self, v: Vehicle, dt: Time, rows: list[Sensed], end: int, hover: Real) -> bool:
         """Do a piece of the due work; False where there is none. rows, end: the queue, and the place after its last tick; hover: mean
@@ -98,14 +111,10 @@ class Spin(Struct):
             self.due -= 1
         return True
 
-    def turns(self) -> bool:
-        """Whether the vehicle has spun for long in this flight, whatever the reason."""
-        return self.until - self.since >= SPUN_S
-
     def join(self, events: list[Event], count: int, room: int) -> int:
         """Merge the rotors that went off in a spin into the events; return their number. The balance at any attitude and rate replaces
         what assumes hover, from the first of them on; an announcement of the same rotor stays, as the earlier one."""
-        if self.off.count == 0 or self.off.blind or not self.turns() or not self._flies():
+        if self.off.count == 0 or self.off.blind or not self._turns() or not self._flies():
             return count
         begun = LASTS
         told = 0
@@ -137,6 +146,10 @@ class Spin(Struct):
                 one.rotors = 1 << int(self.off.all[k].rotor)
                 left = put(events, left, room, one)
         return left
+
+    def _turns(self) -> bool:
+        """Whether it has spun for long."""
+        return self.until - self.since >= SPUN_S
 
     def _flies(self) -> bool:
         """Whether rotors carry the vehicle, upright and without falling, as far as that is known."""
