@@ -17,7 +17,7 @@ from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
 from rotorwatch.engine.events.changes import Change, Changes
-from rotorwatch.engine.events.events import Event, Report, main_event, verdict
+from rotorwatch.engine.events.events import LOSS, Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
 from rotorwatch.engine.events.records import Found, Records
 from rotorwatch.engine.events.reliance import Reliance
@@ -28,6 +28,7 @@ from rotorwatch.engine.intake.sense import Plan
 from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, QUEUE, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
 from rotorwatch.engine.spin.turning import Spin
+from rotorwatch.flight.diagnosis import SUREST
 
 PACE = 3.0  # ticks processed in pieces during the length of one
 FINAL_S = 60.0  # an event that ended longer ago is not withdrawn
@@ -170,6 +171,9 @@ class Engine(Struct):
         count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
         count = self.spin.join(self.events, count, EVENTS)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
+        for i in range(self.count):
+            if self.events[i].kind == LOSS:
+                self.events[i].probability = min(self.events[i].probability, SUREST)
         self.reliance.look(v, self.events, self.count, self.front.start, self.front.newest)
         final = self.front.newest - FINAL_S
         return self.changes.look(self.events, self.count, self.front.newest, final, -1, False, room.losses, self.fresh)

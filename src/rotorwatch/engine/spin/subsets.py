@@ -41,7 +41,7 @@ from rotorwatch.engine.intake.craft import THRUST, YAW, Vehicle
 from rotorwatch.engine.intake.sense import Sensed
 from rotorwatch.engine.intake.sizes import AVERAGED, ROTORS, SETS
 
-MOST, MOST_OF_MANY, MANY = 3, 2, 8  # rotors off at once; of more than MANY rotors
+MOST, MOST_OF_MANY, MANY = 3, 2, 4  # rotors off at once; of more than MANY rotors
 AVERAGE_S = 0.4
 CURVES = 3
 UNITS = 10  # of filters: one for each power and axis, and a free one
