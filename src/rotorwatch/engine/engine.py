@@ -28,7 +28,7 @@ from rotorwatch.engine.intake.sense import Plan
 from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, QUEUE, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
 from rotorwatch.engine.spin.turning import Spin
-from rotorwatch.flight.diagnosis import SUREST
+from rotorwatch.flight.kinds import SUREST
 
 PACE = 3.0  # ticks processed in pieces during the length of one
 FINAL_S = 60.0  # an event that ended longer ago is not withdrawn
