@@ -17,7 +17,7 @@ from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
 from rotorwatch.engine.events.changes import Change, Changes
-from rotorwatch.engine.events.events import LOSS, Event, Report, main_event, verdict
+from rotorwatch.engine.events.events import AMBIGUOUS, HEALTHY, LOSS, Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
 from rotorwatch.engine.events.records import Found, Records
 from rotorwatch.engine.events.reliance import Reliance
@@ -183,8 +183,10 @@ class Engine(Struct):
         return main_event(self.events, self.count)
 
     def verdict(self) -> int:
-        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin."""
-        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.spun)
+        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin; a loss that
+        seems to grow is ambiguous until it is certain."""
+        told = verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.spun)
+        return AMBIGUOUS if told == HEALTHY and self.trim.growth.count > 0 and self.trim.growth.grew else told
 
     def _write(self, v: Vehicle, p: Plan) -> None:
         """Record the tick and the estimator's output."""
