@@ -14,6 +14,7 @@ WORKED_S = 1.5  # of controlled flight in which no rotor is off, to compare with
 FITS, FITS_S = 1.7, 1.0
 SURE_TICKS = 2  # one after the other
 SHOWS_S = 2.0  # after its onset, a rotor off is certain
+GROWS = 2.0  # nats a second, at least, of the odds of a rotor that went off: chance makes less over seconds
 BACK_S = 1.0  # a rotor that gives thrust again for this long has come back
 IDLE, IDLE_S = 0.3, 0.5  # mean demand in hover thrusts, and for how long: it has landed, or falls
 
@@ -101,7 +102,7 @@ class RotorsOff(Struct):
         for k in range(lasts):
             total += self.squares[k]
         fits = total <= FITS * FITS * real(lasts)
-        self._compare(time)
+        self._compare(dt, time)
         fresh = 0
         for i in range(v.rotors):
             p = self.chain.is_off(i)
@@ -118,8 +119,8 @@ class RotorsOff(Struct):
             if (fresh & (1 << i)) != 0:
                 self._add(i, time)
 
-    def _compare(self, time: Time) -> None:
-        """Sum the log odds of every set to the base: those of rotors that go off are least at the onset."""
+    def _compare(self, dt: Time, time: Time) -> None:
+        """Sum the log odds of every set to the base, less GROWS: those of rotors that go off are least at the onset (Page 1954)."""
         fresh = time - self.changed >= AVERAGE_S and self.chain.off[self.base] != self.now
         if fresh:
             self.base = max(self.chain.index(self.now), 0)
@@ -136,7 +137,7 @@ class RotorsOff(Struct):
             if turns or fresh or self.odds[h] < self.least[0][h]:
                 self.least[0][h] = self.odds[h]
                 self.since[0][h] = real(time - self.begun)
-            self.odds[h] += self.chain.likelihood[h] - self.chain.likelihood[self.base]
+            self.odds[h] += self.chain.likelihood[h] - self.chain.likelihood[self.base] - GROWS * real(dt)
 
     def _watch(self, rotor: int, p: Real, on: bool, dt: Time, time: Time) -> None:
         """A rotor that is off: it may have come back."""
