@@ -114,16 +114,19 @@ class Spin(Struct):
     def join(self, events: list[Event], count: int, room: int) -> int:
         """Merge the rotors that went off in a spin into the events; return their number. The balance at any attitude and rate replaces
         what assumes hover, from the first of them on; an announcement of the same rotor stays, as the earlier one."""
-        if self.off.count == 0 or self.off.blind or not self._turns() or not self._flies():
+        many = 0
+        while many < self.off.count and self.off.all[many].detected <= self.until:  # what follows a spin may be the ground
+            many += 1
+        if many == 0 or self.off.blind or not self._turns() or not self._flies():
             return count
         begun = LASTS
         told = 0
         left = 0
-        for k in range(self.off.count):
+        for k in range(many):
             begun = min(begun, self.off.all[k].onset)
         for i in range(count):
             e = events[i]
-            place = self._announced(e, told)
+            place = self._announced(e, told, many)
             jerked = e.kind == CONTACT and begun - SOON_S < e.onset <= self.until  # a rotor that stops jerks the vehicle
             replaced = (e.kind == LOSS or e.kind == OUTPUT_OVERRIDE) and e.onset > begun - SAME_S and place < 0
             if not jerked and not replaced:
@@ -133,7 +136,7 @@ class Spin(Struct):
                     told |= 1 << place
                     _stops(events[left], self.off.all[place])
                 left += 1
-        for k in range(self.off.count):
+        for k in range(many):
             if (told & (1 << k)) == 0:
                 one = Event()
                 one.onset = self.off.all[k].onset
@@ -161,12 +164,12 @@ class Spin(Struct):
             return False
         return self.level >= UPRIGHT * n
 
-    def _announced(self, e: Event, told: int) -> int:
-        """Index of the rotor off that a loss has announced, as it went off, or before it stopped for good; -1 if none. Only the first
+    def _announced(self, e: Event, told: int, many: int) -> int:
+        """Index of the rotor off, of the first `many`, that a loss has announced, as it went off, or before it stopped for good; -1 if none. Only the first
         time that a rotor went off counts."""
         if e.kind != LOSS or e.alternative_count > 0:
             return -1
-        for k in range(self.off.count):
+        for k in range(many):
             if e.rotors == 1 << int(self.off.all[k].rotor) and (told & (1 << k)) == 0:
                 ahead = e.onset - self.off.all[k].onset
                 return k if -EARLIER_S < ahead < SAME_S else -1
