@@ -165,8 +165,8 @@ class Spin(Struct):
         return self.level >= UPRIGHT * n
 
     def _announced(self, e: Event, told: int, many: int) -> int:
-        """Index of the rotor off, of the first `many`, that a loss has announced, as it went off, or before it stopped for good; -1 if none. Only the first
-        time that a rotor went off counts."""
+        """Index of the rotor off, of the first `many`, that a loss has announced, as it went off, or before it stopped for good; -1 if
+        none. Only the first time that a rotor went off counts."""
         if e.kind != LOSS or e.alternative_count > 0:
             return -1
         for k in range(many):
