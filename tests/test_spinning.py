@@ -176,6 +176,7 @@ def chain_of(off, power=1.0, seed=1):
     vehicle = craft(4, effectiveness=B)
     ENGINE.call(many_ticks.begin, state, vehicle, 0.05)
     chain = state.part("chain")
+    sets = each = np.zeros(0)
     J, k, lever, usual = np.array([0.02, 0.02, 0.5]), 0.8, np.array([0.01, -0.01, -0.02]), np.array([0.5, -5.0, -25.0])
     for at, who in enumerate(off):
         rate = usual + rng.normal(0.0, 0.3, 3)

@@ -163,5 +163,4 @@ class Trace:
             return ()
         rows, count = self._state.part("all"), int(self._state["count"][0])
         columns = (rows[name].reshape(-1)[:count].tolist() for name in Off._fields)
-        found = (Off(*one) for one in zip(*columns))
-        return tuple(o._replace(end=None if o.end >= LASTS else o.end) for o in found)
+        return tuple(Off(*one)._replace(end=None if one[3] >= LASTS else one[3]) for one in zip(*columns))
