@@ -49,8 +49,8 @@ int main(void)
 
 
 # A flight with all that can happen in it: rest, hover in which a rotor loses thrust, a knock, a descent on little thrust of which it is not
-# known for seconds whether it is the ground, hover again, the same once more, and the landing. The work is done in pieces, and each of
-# them, and each feed, poll and text, is counted; so is the deepest stack.
+# known for seconds whether it is the ground, hover again, a spin, the same descent once more, and the landing. The work is done in pieces,
+# and each of them, and each feed, poll and text, is counted; so is the deepest stack.
 DIAGNOSER = """
 #include "rw_text.h"
 #include <stdio.h>
@@ -74,7 +74,7 @@ static void sample(rw_time t)
     const rw_real still[4] = {{1, 0, 0, 0}}, v[3] = {{0, 0, low && !over ? 1 : 0}};
     rw_real rate[3], force[3] = {{0, 0, (rw_real)-9.81}}, output[RW_ROTORS];
     for (int a = 0; a < 3; ++a) {{
-        rate[a] = (rw_real)0.02 * noise();
+        rate[a] = (rw_real)0.02 * noise() + (a == 2 && t >= 120 && t < 124 ? 15 : 0);
         force[a] += (rw_real)0.4 * noise() + (t >= 60 && t < (rw_time)60.03 ? 30 : 0);
     }}
     COUNTED(feeds, rw_diagnoser_gyro(&d, t, rate, true));

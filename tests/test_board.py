@@ -18,6 +18,7 @@ from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.events.texts import EVERY_S
 from rotorwatch.engine.events.words import NOTICE, WARNING
 from rotorwatch.errors import RotorwatchError
+from rotorwatch.flight.kinds import SUREST
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))
@@ -67,6 +68,8 @@ def test_a_flight_is_told_as_diagnose_tells_it(autopilot, flight, programs, tmp_
     assert all(row["Drop"] == 0 for row in rows) and len(rows) > 4 * (rows[-1]["TimeUS"] - rows[0]["TimeUS"]) / 1e6
     assert all(np.isnan(rows[-1][f"L{k}"]) == (k > 6) for k in range(1, 13))
     assert abs(rows[-1]["L3"] - told.events[0].loss[0]) < 0.1
+    if autopilot == "ardupilot":
+        assert max(row["P"] for row in flown.records["RWEV"]) == pytest.approx(SUREST), "no surer than an answer"
 
 
 @needs_compiler

@@ -13,8 +13,8 @@ from conftest import against_healthy, hexa_diagnosis, hexa_event
 from rotorwatch.answer import settings
 from rotorwatch.answer.conclusion import conclude
 from rotorwatch.answer.findings import Evidence
-from rotorwatch.flight.diagnosis import SUREST, Diagnosis, Trend
-from rotorwatch.flight.kinds import Weight, table
+from rotorwatch.flight.diagnosis import Diagnosis, Trend
+from rotorwatch.flight.kinds import SUREST, Weight, table
 from rotorwatch.report import html, terminal
 from script_files import loaded
 from test_cli import run  # noqa: F401 - a fixture

@@ -1,12 +1,15 @@
 """The trim of a flight on board: in single precision what a computer says of it, with the texts for the pilot."""
 
 import ctypes
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from onboard_c import doubles, library
 from rotorwatch.answer import drift
+from rotorwatch.engine.engine import Engine
+from rotorwatch.engine.events.events import AMBIGUOUS, HEALTHY, NOT_JUDGED
 from test_slow import DT, QUAD, flight
 
 DRIVER = """
@@ -85,3 +88,16 @@ def test_the_same_is_told_on_board(code, how, says):
     for row, wanted in zip(found, expected):
         np.testing.assert_allclose(row[[0, 1, 3, 4, 5, 6]], np.array(wanted)[[0, 1, 3, 4, 5, 6]], rtol=0, atol=1e-3)
         np.testing.assert_allclose(row[[2, 7]], np.array(wanted)[[2, 7]], rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize(
+    "count, grew, spun, says",
+    [(0, False, False, HEALTHY), (1, True, False, AMBIGUOUS), (1, False, False, HEALTHY), (0, False, True, NOT_JUDGED)],
+)
+def test_a_loss_that_seems_to_grow_and_a_spin_are_not_healthy(count, grew, spun, says):
+    """Before anything is certain, on board: no events."""
+    engine = SimpleNamespace(
+        events=[], count=0, judged=True, front=SimpleNamespace(air=SimpleNamespace(unseen=0)), spin=SimpleNamespace(spun=spun),
+        trim=SimpleNamespace(growth=SimpleNamespace(count=count, grew=grew)),
+    )  # fmt: skip
+    assert Engine.verdict(engine) == says

@@ -6,15 +6,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests import onboard_law
 from tests.spinning_flights import HOVER_S, IDLE_S, fly
 
 from rotorwatch import diagnose
+from rotorwatch.base.compiling.structs import LASTS
+from rotorwatch.base.physics import G0
+from rotorwatch.engine.definition import ENGINE, craft
+from rotorwatch.engine.intake.sense import Sensed
+from rotorwatch.engine.intake.sizes import ROTORS, SETS
 from rotorwatch.engine.motion.air_spans import airborne
+from rotorwatch.engine.spin import many_ticks
+from rotorwatch.engine.spin.rotors_off import RotorsOff
+from rotorwatch.engine.spin.subsets import sets_of
+from rotorwatch.engine.spin.turning import SPUN
 from rotorwatch.flight import Flight
 from rotorwatch.flight.kinds import CONTACT, LOSS, LOST
 from rotorwatch.live.session import Session
 from rotorwatch.witnesses.upset import loss_of_control, spinning
-from rotorwatch.witnesses.upset.subsets import POWERS, Motion, Subsets, sets_of
 
 REAL = Path(__file__).parent / "real"
 BEGINS_S = IDLE_S + HOVER_S
@@ -57,11 +66,11 @@ def test_a_spin_is_no_fall(losses):
     event = lost(answer(losses))
     flight, _ = flown(losses)
     rate = np.abs(flight["gyro"].values[:, 2])
-    fast = flight["gyro"].time[rate > loss_of_control.SPUN]
+    fast = flight["gyro"].time[rate > SPUN]
     assert event.extra["impact_s"] is None and event.end_s is None
     assert event.extra["spins_from_s"] == pytest.approx(fast[0], abs=0.5)
     assert event.extra["spins_until_s"] == pytest.approx(flight.duration, abs=0.1)
-    assert 2.0 * np.pi * event.extra["turns_per_s"] == pytest.approx(np.median(rate[rate > loss_of_control.SPUN]), rel=0.1)
+    assert 2.0 * np.pi * event.extra["turns_per_s"] == pytest.approx(np.median(rate[rate > SPUN]), rel=0.1)
 
 
 def test_the_story_says_that_it_flew_on_and_what_it_lost_then():
@@ -101,6 +110,31 @@ def test_a_loss_that_ends_is_said_to_be_over():
     assert all(end is not None and BEGINS_S + 10.0 < end < BEGINS_S + 12.0 for end in ends.values())
 
 
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    """(events, verdict) of a flight by the C library in single precision, fed by a loop of 100 Hz. All have the same rates: one library."""
+    folder = tmp_path_factory.mktemp("board")
+
+    def told(losses):
+        flight, vehicle = flown(losses)
+        events, verdict, _ = onboard_law.events_in_c(folder, onboard_law.on_board(flight, 100.0, vehicle), single=True)
+        return [dict(zip(("kind", "onset", "detected", "end", "rotors", "loss", "lower"), e)) for e in events], verdict
+
+    return told
+
+
+@pytest.mark.parametrize("losses", [ONE, THEN_OPPOSITE, AT_ONCE, OVER])
+def test_a_board_tells_what_a_log_tells(board, losses):
+    events, verdict = board(losses)
+    desk = {sum(1 << r - 1 for r in e.rotors): e for e in answer(losses).events if e.kind == LOSS}
+    assert verdict == 2 and {int(e["rotors"]) for e in events} == set(desk), "a fault, and no contact or other rotor"
+    for e in events:
+        same = desk[int(e["rotors"])]
+        assert e["onset"] == pytest.approx(same.onset_s, abs=0.15)
+        assert e["end"] >= LASTS if same.end_s is None else e["end"] == pytest.approx(same.end_s, abs=0.5)
+        assert e["lower"] > 0.3
+
+
 def test_rotors_that_carried_no_part_before_are_not_named():
     """Without controlled flight before the spin nothing shows that all rotors worked."""
     flight, vehicle = flown(ONE)
@@ -135,40 +169,57 @@ def test_a_yaw_rate_that_is_commanded_is_no_loss_of_control():
 B = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0], [1.0, 1.0, 1.0, 1.0]])
 
 
-def balanced(rng, off, power, rate):
-    """A tick in which the rotors that are not off turn and carry the vehicle as `subsets` says, and the others are demanded as much."""
-    thrust = (4 / (4 - len(off))) ** (1 / power) * rng.uniform(0.8, 1.2, 4)
-    wrench = B @ np.where(np.isin(np.arange(4), off), 0.0, thrust**power)
-    J, k = np.array([0.02, 0.02, 0.5]), 0.8
-    spin = k * np.array([rate[1] * rate[2], -rate[0] * rate[2], 0.0])
-    turn = (wrench[:3] - [0.0, 0.0, 0.004 * rate[2] * abs(rate[2])]) / J - spin
-    lever = np.array([0.01, -0.01, -0.02])
-    force = np.array([0.0, 0.0, -wrench[3] / 4.0 * 9.80665]) + np.cross(turn, lever) + np.cross(rate, np.cross(rate, lever))
-    return Motion(thrust, rate, turn, force)
+def chain_of(off, power=1.0, seed=1):
+    """(probability of each rotor to be off (K, 4), sets as bits, probability of each at last) of ticks in which the rotors `off` [of each
+    tick] are off: the others turn and carry the vehicle as `subsets` says, and those are demanded as much."""
+    rng, state, rows, p = np.random.default_rng(seed), ENGINE.new(RotorsOff), ENGINE.array(Sensed, 1), []
+    vehicle = craft(4, effectiveness=B)
+    ENGINE.call(many_ticks.begin, state, vehicle, 0.05)
+    chain = state.part("chain")
+    sets = each = np.zeros(0)
+    J, k, lever, usual = np.array([0.02, 0.02, 0.5]), 0.8, np.array([0.01, -0.01, -0.02]), np.array([0.5, -5.0, -25.0])
+    for at, who in enumerate(off):
+        rate = usual + rng.normal(0.0, 0.3, 3)
+        thrust = (4 / (4 - len(who))) ** (1 / power) * rng.uniform(0.8, 1.2, 4)
+        wrench = B @ np.where(np.isin(np.arange(4), who), 0.0, thrust**power)
+        spin = k * np.array([rate[1] * rate[2], -rate[0] * rate[2], 0.0])
+        turn = (wrench[:3] - [0.0, 0.0, 0.004 * rate[2] * abs(rate[2])]) / J - spin
+        force = np.array([0.0, 0.0, -wrench[3] / 4.0 * G0]) + np.cross(turn, lever) + np.cross(rate, np.cross(rate, lever))
+        rows.set(
+            time=0.05 * at,
+            some=True,
+            rate_ok=True,
+            load_ok=True,
+            share=0.5 * thrust,
+            rate=rate,
+            rate_dot=turn,
+            push=force[:2],
+            load=-force[2] / G0,
+        )
+        ENGINE.call(many_ticks.follow, state, vehicle, 0.05, 0.5, 1, rows, -1.0, 1e9)
+        count = int(chain["count"][0])
+        sets, each = chain["off"].reshape(-1)[:count], chain["probability"].reshape(-1)[:count]
+        p.append([each[sets >> i & 1 == 1].sum() for i in range(4)])
+    return np.array(p), sets, each
 
 
 @pytest.mark.parametrize("off", [(), (2,), (0, 1), (0, 3)])
-@pytest.mark.parametrize("power", POWERS[:2])  # a stronger curve than in hover needs flight that shows it
+@pytest.mark.parametrize("power", [1.0, 1.5])  # a stronger curve than in hover needs flight that shows it
 def test_the_balance_of_a_spinning_body_tells_every_set(off, power):
-    rng, chain = np.random.default_rng(1), Subsets(B, 0.05)
-    rate = np.array([0.5, -5.0, -25.0])
-    for k in range(300):
-        chain.step(balanced(rng, off if k > 60 else (), power, rate + rng.normal(0.0, 0.3, 3)))
-    assert chain.sets[int(np.argmax(chain.probability))] == off
-    assert chain.probability.max() > 0.9
-    assert chain.probability.sum() == pytest.approx(1.0)
+    _, sets, each = chain_of([()] * 61 + [off] * 239, power)
+    assert sets[int(np.argmax(each))] == sum(1 << i for i in off)
+    assert each.max() > 0.9
+    assert each.sum() == pytest.approx(1.0)
 
 
 def test_a_rotor_that_comes_back_is_told():
-    rng, chain, p = np.random.default_rng(2), Subsets(B, 0.05), []
-    for k in range(600):
-        chain.step(balanced(rng, (2,) if 100 < k < 300 else (), 1.0, np.array([0.5, -5.0, -25.0]) + rng.normal(0.0, 0.3, 3)))
-        p.append(float(chain.probability @ chain.off[:, 2]))
-    assert max(p[:100]) < 0.1 and min(p[130:300]) > 0.9 and max(p[340:]) < 0.1
+    p, _, _ = chain_of([()] * 101 + [(2,)] * 199 + [()] * 300, seed=2)
+    assert p[:100, 2].max() < 0.1 and p[130:300, 2].min() > 0.9 and p[340:, 2].max() < 0.1
 
 
 def test_sets_of_many_rotors_stay_few():
-    assert len(sets_of(4)) == 15 and len(sets_of(8)) == 93 and len(sets_of(12)) == 79
+    assert sets_of(4) == 15 and sets_of(8) == 37 and sets_of(12) == 79
+    assert max(map(sets_of, range(1, ROTORS + 1))) == SETS
 
 
 def test_a_real_quadrotor_that_lost_two_rotors():

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rotorwatch.engine.motion.allocation import Spans
+from rotorwatch.engine.spin.turning import SPUN
 from rotorwatch.engine.window import Window
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
@@ -63,7 +64,7 @@ class Departures:
     def _turns(self, window: Window) -> bool:
         """Return whether the vehicle turns fast now."""
         turning = window.flight(window.now - SPINNING_S, ("gyro", "rates")).angular_rate()
-        return turning is not None and bool((np.abs(turning.values[-10:, 2]) > loss_of_control.SPUN).any())
+        return turning is not None and bool((np.abs(turning.values[-10:, 2]) > SPUN).any())
 
     def _departs(self, window: Window, spans: Spans) -> bool:
         """Return whether the last seconds look like a loss of control or a collision."""

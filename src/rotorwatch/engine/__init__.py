@@ -3,6 +3,7 @@
 intake/        samples -> ticks
 estimator/     the default estimator: ticks in, losses and evidence out
 drift/         slow changes in the trim of a whole flight
+spin/          rotors that go off in a vehicle that spins and flies on
 events/        announcements of the estimator -> events and texts
 engine.py      these joined: samples in, events out
 feed.py        many samples in one call

@@ -36,6 +36,7 @@ from rotorwatch.engine.estimator import prior as estimator_prior
 from rotorwatch.engine.events import calls, carried, changes, decisions, events, losses, records, reliance, texts, words
 from rotorwatch.engine.intake import airborne, contact, deviations, front, mixer, planning, sense, sizes, ticks
 from rotorwatch.engine.intake import craft as vehicle
+from rotorwatch.engine.spin import many_ticks, rotors_off, subsets, turning
 from rotorwatch.flight import Flight, Message
 
 FRONT = (
@@ -46,13 +47,29 @@ ESTIMATOR = (
     plant, noise, model_error, kalman, bank, hypotheses, evidence, plausibility, announcement, opposite, posterior, estimator,
 )  # fmt: skip
 TRIM = time_blocks, stretch, fit, weighing, outcome, trim
+SPIN = subsets, rotors_off, turning
 SIZES = sizes, estimator_sizes, trim_sizes
 ENGINE = Definition(
     "engine",
-    (*FRONT, *ESTIMATOR, *TRIM, engine, calls, estimator_whole, estimator_prior, explanations, many, planning, carried, feed),
+    (
+        *FRONT,
+        *ESTIMATOR,
+        *TRIM,
+        *SPIN,
+        engine,
+        calls,
+        estimator_whole,
+        estimator_prior,
+        explanations,
+        many,
+        many_ticks,
+        planning,
+        carried,
+        feed,
+    ),
     SIZES,
     [
-        *(file for folder in ("intake", "estimator", "drift", "events") for file in files_in(f"engine/{folder}")),
+        *(file for folder in ("intake", "estimator", "drift", "events", "spin") for file in files_in(f"engine/{folder}")),
         "base/medians.py",
         "engine/engine.py",
         "engine/feed.py",

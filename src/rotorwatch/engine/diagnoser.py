@@ -91,6 +91,7 @@ class Diagnoser:
         self.losses = event_rows.Losses(B, self._engine.part("losses"))
         self.report = event_rows.Report(B, self._engine.part("report"))
         self.trim = self._engine.part("trim")
+        self._engine.part("spin").set(watched=False)  # case/departures.py knows what was commanded
         self.planned(plan)
         ENGINE.call(feed.begin, self._engine, self._plant)
 

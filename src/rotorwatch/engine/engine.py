@@ -17,7 +17,7 @@ from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
 from rotorwatch.engine.events.changes import Change, Changes
-from rotorwatch.engine.events.events import Event, Report, main_event, verdict
+from rotorwatch.engine.events.events import AMBIGUOUS, HEALTHY, LOSS, Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
 from rotorwatch.engine.events.records import Found, Records
 from rotorwatch.engine.events.reliance import Reliance
@@ -25,8 +25,10 @@ from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.deviations import Override
 from rotorwatch.engine.intake.front import Front
 from rotorwatch.engine.intake.sense import Plan
-from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, RECORDS
+from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, QUEUE, RECORDS
 from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
+from rotorwatch.engine.spin.turning import Spin
+from rotorwatch.flight.kinds import SUREST
 
 PACE = 3.0  # ticks processed in pieces during the length of one
 FINAL_S = 60.0  # an event that ended longer ago is not withdrawn
@@ -49,6 +51,7 @@ class Engine(Struct):
     losses = embedded(Losses)
     report = embedded(Report)
     trim = embedded(Trim)
+    spin = embedded(Spin)
     changes = embedded(Changes)
     reliance = embedded(Reliance)  # as of the last poll
     made = embedded(Made)  # the last tick, as measured
@@ -85,7 +88,7 @@ class Engine(Struct):
             if not self.underway:
                 self._write(v, p)
             return True
-        if self.trim.part(v) != IDLE:
+        if self.trim.part(v) != IDLE or self._spun(v, p):
             return True
         if self.due < 1.0 and not (self.landed and self.front.start < LASTS):
             return False
@@ -114,6 +117,9 @@ class Engine(Struct):
         was = self.front.start
         self.front.sample(v, p, kind, time, x)
         self._look(was)
+        while self.spin.seen < self.front.taken:
+            last = self.front.first + self.front.count + self.spin.seen - self.front.taken
+            self.spin.tick(v, p.dt, self.front.queue[(last + QUEUE) % QUEUE], self.front.start)
 
     def end(self, v: Vehicle, p: Plan, time: Time) -> None:
         """No sample comes after `time` s."""
@@ -123,6 +129,8 @@ class Engine(Struct):
 
     def step(self, v: Vehicle, p: Plan, e: Plant) -> bool:
         """Process the next certain tick by the estimator and record it; False where there is none."""
+        while self._spun(v, p):
+            pass
         if not self._next(v, p):
             return False
         self.estimator.step(e, self.now, self.out)
@@ -143,6 +151,10 @@ class Engine(Struct):
         _tell(v, self.tick, self.now)
         return True
 
+    def _spun(self, v: Vehicle, p: Plan) -> bool:
+        """Do a piece of the due work on a spin; False where there is none."""
+        return self.spin.part(v, p.dt, self.front.queue, self.front.first + self.front.count, self.front.ticks.hover)
+
     def poll(self, v: Vehicle) -> int:
         """List the events and, in `fresh`, their changes since the last poll; return the number of changes."""
         flies = self.front.start < LASTS or self.landed
@@ -157,7 +169,11 @@ class Engine(Struct):
         else:
             overridden = self.front.deviations.found(v, room.overrides)
         count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        count = self.spin.join(self.events, count, EVENTS)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
+        for i in range(self.count):
+            if self.events[i].kind == LOSS:
+                self.events[i].probability = min(self.events[i].probability, SUREST)
         self.reliance.look(v, self.events, self.count, self.front.start, self.front.newest)
         final = self.front.newest - FINAL_S
         return self.changes.look(self.events, self.count, self.front.newest, final, -1, False, room.losses, self.fresh)
@@ -167,8 +183,10 @@ class Engine(Struct):
         return main_event(self.events, self.count)
 
     def verdict(self) -> int:
-        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy."""
-        return verdict(self.events, self.count, self.judged and self.front.air.unseen == 0)
+        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin; a loss that
+        seems to grow is ambiguous until it is certain."""
+        told = verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.spun)
+        return AMBIGUOUS if told == HEALTHY and self.trim.growth.count > 0 and self.trim.growth.grew else told
 
     def _write(self, v: Vehicle, p: Plan) -> None:
         """Record the tick and the estimator's output."""

@@ -32,6 +32,7 @@ from rotorwatch.engine.estimator.plant import Plant
 from rotorwatch.engine.intake import sizes
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.knocks import look_back
+from rotorwatch.engine.spin import rotors_off, subsets
 from rotorwatch.errors import ConfigError
 from rotorwatch.export import projects
 from rotorwatch.flight import kinds
@@ -73,6 +74,8 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "LISTED": "(RW_RECORDS > RW_EVENTS ? RW_RECORDS : RW_EVENTS)",
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
         "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "SAMPLES": 64,
+        "SETS": subsets.sets_of(n), "AVERAGED": min(sizes.AVERAGED, max(1, round(subsets.AVERAGE_S / dt))),
+        "FITTED": min(sizes.FITTED, max(1, round(rotors_off.FITS_S / dt))), "WENT_OFF": n + 2,
     }  # fmt: skip
 
 
@@ -138,7 +141,7 @@ def definitions() -> dict[str, str]:
     estimator = Translation(definition.ESTIMATOR, *definition.SIZES, given=[front])
     trim = Translation(definition.TRIM, *definition.SIZES, given=[front, estimator])
     names = ", ".join(f'"{row.brief or row.noun}"' for row in kinds.table().values())
-    joined = Translation([engine], *definition.SIZES, given=[front, estimator, trim])
+    joined = Translation([*definition.SPIN, engine], *definition.SIZES, given=[front, estimator, trim])
     return {
         "rw_front.h": front.header(f"The front end: samples in, ticks out. {MADE}"),
         "rw_front.c": front.source("rw_front.h"),

@@ -16,9 +16,6 @@ from rotorwatch.flight.method_series import MOST_ROWS, MethodSeries
 
 SCHEMA = 2
 TINY = 1e-12  # probabilities are rounded to less
-# What no hypothesis holds happens too: of 250 events of the open world that evidence alone makes surer than 99.9 %, 244 name broken rotors
-# only (docs/results.md#stated-probabilities). No answer says that it is surer.
-SUREST = 0.975
 EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
 # Fields of the JSON answer (docs/json.md) in their order; of an event, before those of its kind; of a rotor.
 ANSWER = (
@@ -127,7 +124,7 @@ class Event:
     def stated(self) -> Event:
         """The event with the probability that an answer may state."""
         lossy = self.kind in (kinds.LOSS, kinds.SLOW_RESPONSE)
-        return replace(self, probability=SUREST) if lossy and self.probability > SUREST else self
+        return replace(self, probability=kinds.SUREST) if lossy and self.probability > kinds.SUREST else self
 
     def most(self, rotor: int) -> float:
         """Upper bound of a rotor's loss over all explanations: its own interval where it is among the event's rotors; in another set at

@@ -17,7 +17,6 @@ from rotorwatch.engine.intake.sizes import ROTORS, TOGETHER
 MOVED = 0.1  # least change of an effectiveness that is passed on
 REFRESH_S = 0.5  # between two changes
 RISES_S = 5.0  # for which a recovery must have lasted
-MOST_ODDS = 1e6  # an explanation alone among those compared
 LEAST = 0.1  # of the mean hover command, below which a rotor of a hovering vehicle has no authority left
 SINGULAR = 0.01  # pivot of B E^2 B' below which a demand cannot be answered
 # What a fixed mixer can still do: no level hover; roll, pitch and thrust; yaw as well.
@@ -73,7 +72,7 @@ class Reliance(Struct):
                             lost = True
                         place += 1
                 if lost:
-                    odds = e.probability / max(1.0 - e.probability, 1.0 / MOST_ODDS)
+                    odds = e.probability / (1.0 - e.probability)  # stated, and so below 1
         fresh = gone & ~self.left_out
         if fresh != 0 and self.left_out == 0:
             self.decided = now

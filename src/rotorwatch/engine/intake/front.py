@@ -39,6 +39,7 @@ class Front(Struct):
     first: int = 0
     count: int = 0
     certain: int = 0  # number of ticks in the queue that are certain in any case
+    taken: int = 0  # ticks that came into the queue so far
     start: Time = LASTS  # start of the current flight, LASTS on the ground
     before_start: Time = LASTS  # of the previous flight
     before_end: Time = -LASTS
@@ -253,6 +254,7 @@ class Front(Struct):
             row = self.queue[(self.first + self.count) % QUEUE]
             self.sense.measure(v, p, row)
             self.count += 1
+            self.taken += 1
             self.newest = row.when
             if self.start < LASTS and self.start <= row.when < self.start + HOVER_LEARN_S:
                 self.ticks.learn_hover_thrust(v, row, self.start)

@@ -8,7 +8,6 @@ loss_of_control.py  when control was lost and came back, falls, impacts
 balance.py          torques and thrust at any attitude: how well commands explain motion
 explain.py          explanations: healthy, a rotor, all rotors, outputs on the wrong motors, an external torque
 spinning.py         vehicles that spin and fly on, and which rotors they lost
-subsets.py          which rotors are off, by the balance of force and torque at any rate
 find.py             the cause, and the events
 """
 

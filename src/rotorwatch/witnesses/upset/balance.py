@@ -23,17 +23,18 @@ import numpy as np
 
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
+from rotorwatch.engine.spin import subsets
+from rotorwatch.engine.spin.subsets import FLAT, OUTLIER_SD, OUTLIERS
 
 # Inertia per rotor and its scatter in hover thrusts per rad/s^2, as in `default.plant`, but always positive.
 # Ratios scatter, not differences: half the usual inertia is as far off as twice of it.
 INERTIA, LIGHTER_SD, HEAVIER_SD, LEAST = (
-    np.array([0.006, 0.006, 0.13]),
+    np.array(subsets.INERTIA),
     np.array([0.003, 0.003, 0.06]),
     np.array([0.006, 0.006, 0.1]),
     np.array([0.001, 0.001, 0.02]),
 )
 DAMPING_SD = np.array([0.03, 0.03, 0.2])  # hover thrusts per rad/s and rotor
-FLAT = 0.8  # (Jz - Jy) / Jx of a vehicle that is nearly flat; 1 for a plate
 # Standard deviations: hover thrusts of one rotor; share of each rotor's thrust; of a command that changes, of its step within the tick; of
 # damping and gyroscopic terms; of the whole thrust, which air that flows along the axis changes; of the load factor, by drag.
 FLOOR, THRUST_SHARE, STEP_SHARE, MOTION_SHARE, LOAD_SHARE, LOAD_FLOOR = 0.07, 0.08, 0.35, 0.3, 0.1, 0.1
@@ -42,7 +43,6 @@ LACKS, LACKS_SD = 0.15, 0.15  # deficit at the limit: hardly more than 40 %, and
 SPIN_UP_S = 0.05  # reaction torque of a rotor that speeds up: that of its thrust's change in this time
 STRANGE_S = 1.0  # after the onset: the inflow of the rotors of a tumbling vehicle becomes ever less regular
 FALLS_S = 0.4  # the same for thrust: a vehicle that falls or climbs meets other inflow at once
-OUTLIERS, OUTLIER_SD = 0.05, 4.0
 ERROR_S = 0.15  # correlation time of model errors: closer ticks count less
 TURNS = 12  # of the coordinate descent
 FALLS = 14.0  # m/s: the air carries up to about the whole weight of a vehicle that sinks this fast

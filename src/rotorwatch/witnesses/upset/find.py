@@ -13,6 +13,7 @@ from rotorwatch.engine.events.decisions import CREDIBLE, SURE
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.knocks import LEAST_GAIN
 from rotorwatch.engine.motion.tick_table import Sensed
+from rotorwatch.engine.spin.rotors_off import FITS
 from rotorwatch.flight import Flight
 from rotorwatch.flight.kinds import ORDER
 from rotorwatch.flight.vehicle import Vehicle
@@ -21,7 +22,7 @@ from rotorwatch.witnesses.upset import loss_of_control, spinning
 from rotorwatch.witnesses.upset.balance import INERTIA, Offset, Window
 from rotorwatch.witnesses.upset.explain import Explanation, explain
 from rotorwatch.witnesses.upset.loss_of_control import HIT_S, LossOfControl, held, thrust_axis
-from rotorwatch.witnesses.upset.spinning import BEFORE_S, FITS, FliesOn
+from rotorwatch.witnesses.upset.spinning import BEFORE_S, FliesOn
 
 AFTER_S = 3.0  # of the upset that are used, at most, with BEFORE_S
 EARLIER_S, LATER_S = 0.7, 0.3  # around its onset, in which a cause may have begun

@@ -17,6 +17,7 @@ from rotorwatch.base.physics import G0
 from rotorwatch.base.progress import portion
 from rotorwatch.engine.intake.airborne import LEVER_M
 from rotorwatch.engine.motion.air_spans import commands, output_range
+from rotorwatch.engine.spin.turning import SPUN, SPUN_S
 from rotorwatch.flight import Flight, Signal
 
 # Degrees between the actual direction of thrust and any recent target, and for how long. Healthy vehicles of public logs,
@@ -25,8 +26,7 @@ ERROR_DEG, LASTS_S = 40.0, 0.4
 AWAY_DEG, AWAY_S = 20.0, 2.0  # less, for longer: in public logs only vehicles that no longer follow their commands
 LOST_S = 1.2  # control regained sooner was not lost: a knock or a hard turn that the vehicle recovered from
 TUMBLED_DEG = 100.0  # two samples this far from all targets: it tumbled, however it came to rest
-SPINS = 20.0  # rad/s of yaw, faster than anyone commands
-SPUN, SPUN_S = 10.0, 2.0  # rad/s of yaw beyond the commanded rate, for so long
+SPINS = 20.0  # rad/s of yaw, faster than anyone commands; SPUN is beyond the commanded rate
 ANSWERS_S = 0.6  # within which a vehicle under control reaches the commanded attitude or rates
 BLOCK = 1 << 16  # samples compared at a time
 Progress = Callable[[float], object] | None
