@@ -174,7 +174,7 @@ def chain_of(off, power=1.0, seed=1):
     tick] are off: the others turn and carry the vehicle as `subsets` says, and those are demanded as much."""
     rng, state, rows, p = np.random.default_rng(seed), ENGINE.new(RotorsOff), ENGINE.array(Sensed, 1), []
     vehicle = craft(4, effectiveness=B)
-    ENGINE.call(many_ticks.begin, state, vehicle, 0.05)
+    ENGINE.call(many_ticks.begin, state)
     chain = state.part("chain")
     sets = each = np.zeros(0)
     J, k, lever, usual = np.array([0.02, 0.02, 0.5]), 0.8, np.array([0.01, -0.01, -0.02]), np.array([0.5, -5.0, -25.0])

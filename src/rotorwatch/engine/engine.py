@@ -119,7 +119,7 @@ class Engine(Struct):
         self._look(was)
         while self.spin.seen < self.front.taken:
             last = self.front.first + self.front.count + self.spin.seen - self.front.taken
-            self.spin.tick(v, p.dt, self.front.queue[(last + QUEUE) % QUEUE], self.front.start)
+            self.spin.tick(p.dt, self.front.queue[(last + QUEUE) % QUEUE], self.front.start)
 
     def end(self, v: Vehicle, p: Plan, time: Time) -> None:
         """No sample comes after `time` s."""

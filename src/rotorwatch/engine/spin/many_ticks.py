@@ -8,9 +8,9 @@ from rotorwatch.engine.intake.sense import Sensed
 from rotorwatch.engine.spin.rotors_off import RotorsOff
 
 
-def begin(s: RotorsOff, v: Vehicle, dt: Time) -> None:
-    """Start with all rotors on, for ticks of dt s."""
-    s.begin(v, dt)
+def begin(s: RotorsOff) -> None:
+    """Start with all rotors on."""
+    s.begin()
 
 
 def follow(s: RotorsOff, v: Vehicle, dt: Time, hover: Real, n: int, rows: list[Sensed], after: Time, until: Time) -> None:

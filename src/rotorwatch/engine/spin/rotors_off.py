@@ -7,7 +7,7 @@ from rotorwatch.engine.events.decisions import CERTAIN
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sense import Sensed
 from rotorwatch.engine.intake.sizes import FITTED, ROTORS, SETS, WENT_OFF
-from rotorwatch.engine.spin.subsets import AVERAGE_S, CURVES, Subsets
+from rotorwatch.engine.spin.subsets import AVERAGE_S, CURVES, PARTS, Subsets
 
 WORKED_S = 1.5  # of controlled flight in which no rotor is off, to compare with
 # Standard deviations, root mean square over a second: beyond, even the likeliest set does not explain the motion, and none is named.
@@ -16,6 +16,7 @@ SURE_TICKS = 2  # one after the other
 SHOWS_S = 2.0  # after its onset, a rotor off is certain
 GROWS = 2.0  # nats a second, at least, of the odds of a rotor that went off: chance makes less over seconds
 BACK_S = 1.0  # a rotor that gives thrust again for this long has come back
+STARTS = -1  # the piece before the first tick
 IDLE, IDLE_S = 0.3, 0.5  # mean demand in hover thrusts, and for how long: it has landed, or falls
 
 
@@ -53,10 +54,10 @@ class RotorsOff(Struct):
     blind: bool = False
     idle: bool = False
 
-    def begin(self, v: Vehicle, dt: Time) -> None:
-        """Start with all rotors on, for ticks of dt s."""
+    def begin(self) -> None:
+        """Start with all rotors on."""
         reset(self)
-        self.chain.begin(v, dt)
+        self.piece = STARTS
 
     def follow(self, v: Vehicle, dt: Time, row: Sensed, hover: Real) -> None:
         """Take in a tick of dt s. hover: mean share of full thrust that carries the vehicle."""
@@ -65,6 +66,10 @@ class RotorsOff(Struct):
 
     def part(self, v: Vehicle, dt: Time, row: Sensed, hover: Real) -> bool:
         """Do a piece of that; True after the last one."""
+        if self.piece == STARTS:
+            self.chain.begin(v, dt)
+            self.piece = 0
+            return False
         if self.piece == 0:
             if not (row.some and row.rate_ok and row.load_ok) or self.idle:
                 return True
@@ -79,8 +84,8 @@ class RotorsOff(Struct):
             if self.chain.take(v, row, hover):
                 self.piece = 1
             return self.piece == 0
-        if self.piece <= CURVES:
-            self.chain.curve(v, self.piece - 1)
+        if self.piece <= PARTS * CURVES:
+            self.chain.part(v, (self.piece - 1) // PARTS, (self.piece - 1) % PARTS)
             self.piece += 1
             return False
         self.chain.conclude()

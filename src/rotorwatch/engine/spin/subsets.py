@@ -44,6 +44,7 @@ from rotorwatch.engine.intake.sizes import AVERAGED, ROTORS, SETS
 MOST, MOST_OF_MANY, MANY = 3, 2, 4  # rotors off at once; of more than MANY rotors
 AVERAGE_S = 0.4
 CURVES = 3
+PARTS = 4  # of the work for each: mixing three axes, and the rest
 UNITS = 10  # of filters: one for each power and axis, and a free one
 STRONGEST = 5.0  # hover thrusts: hardly any rotor gives more, whatever its curve says
 # Rates [1/s]: one more rotor goes off; two at once; three at once; one comes back, each further one ten times more rarely.
@@ -142,7 +143,7 @@ class Subsets(Struct):
             self.lever_P[a][a] = LEVER_M * LEVER_M
 
     def take(self, v: Vehicle, row: Sensed, hover: Real) -> bool:
-        """Take in a tick; return whether there is an average, to be evaluated by `curve` for each power and then by `conclude`. hover: mean
+        """Take in a tick; return whether there is an average, to be evaluated by all parts of each power, then by `conclude`. hover: mean
         share of full thrust that carries the vehicle."""
         self._terms(v, row, hover, self.recent[self.seen % self.keep])
         self.seen += 1
@@ -168,8 +169,15 @@ class Subsets(Struct):
         self.load_variance = carries * carries + n * n / G0 / G0 * spread
         return True
 
-    def curve(self, v: Vehicle, c: int) -> None:
-        """Evaluate the average by a power."""
+    def part(self, v: Vehicle, c: int, part: int) -> None:
+        """Evaluate the average by a power: one of PARTS parts, in order."""
+        if part < 3:
+            self._mix(c, part)
+        else:
+            self._curve(v, c)
+
+    def _curve(self, v: Vehicle, c: int) -> None:
+        """The last part."""
         thrust = local(REAL, ROTORS)
         spread = local(REAL, ROTORS)
         first = (self.seen - self.keep) % self.keep
@@ -187,8 +195,6 @@ class Subsets(Struct):
             strong = STRONG_SHARE * max(mean - STRONG, 0.0)
             thrust[i] = mean
             spread[i] = share * share + step * step + strong * strong
-        for axis in range(3):
-            self._mix(c, axis)
         most: Real = -1.0 / TINY
         for h in range(self.count):
             value = self._fit(v, c, h, thrust, spread)

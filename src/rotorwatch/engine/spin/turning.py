@@ -53,7 +53,7 @@ class Spin(Struct):
     spun: bool = False  # it has spun for long in this flight, whatever the reason
     watched: bool = True
 
-    def tick(self, v: Vehicle, dt: Time, row: Sensed, start: Time) -> None:
+    def tick(self, dt: Time, row: Sensed, start: Time) -> None:
         """Notice a tick of dt s as it comes into the queue. start: of the flight, LASTS on the ground."""
         turning = abs(row.rate[2]) if row.rate_ok else 0.0
         self.seen += 1
@@ -71,7 +71,7 @@ class Spin(Struct):
                 self.off.landed(self.until)
                 self.spun = False
             if turning > TURNS and row.load_ok and dt <= SLOWEST_S and self.watched:
-                self._begin(v, dt, start)
+                self._begin(start)
                 self.turned = row.time
         if self.follows and turning > SPUN:
             if row.time - self.until > PAUSE_S and self.until - self.since < SPUN_S:
@@ -91,7 +91,7 @@ class Spin(Struct):
             self.spun = self.spun or self._turns()
         self.due = min(self.due + CATCHES_UP, self.behind)
 
-    def _begin(self, v: Vehicle, dt: Time, start: Time) -> None:
+    def _begin(self, start: Time) -> None:
         """Follow the ticks from those before on."""
         self.follows = True
         self.behind = min(self.passed, 3 * QUEUE // 4)
@@ -99,7 +99,7 @@ class Spin(Struct):
         if start < self.flight or start > self.flight:
             self.flight = start
             self.until = -LASTS
-            self.off.begin(v, dt)
+            self.off.begin()
 
     def part(self, v: Vehicle, dt: Time, rows: list[Sensed], end: int, hover: Real) -> bool:
         """Do a piece of the due work; False where there is none. rows, end: the queue, and the place after its last tick; hover: mean

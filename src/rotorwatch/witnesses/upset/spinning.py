@@ -148,7 +148,7 @@ class Trace:
         B = vehicle.effectiveness()
         self._craft, self._dt, self._hover = craft(B.shape[1], effectiveness=B), dt, hover
         self._state = ENGINE.new(RotorsOff)
-        ENGINE.call(many_ticks.begin, self._state, self._craft, dt)
+        ENGINE.call(many_ticks.begin, self._state)
         self.last = -np.inf
 
     def extend(self, seen: Sensed, after: float, until: float) -> None:
