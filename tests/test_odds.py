@@ -104,6 +104,8 @@ def test_a_stuck_rotor_alone_has_no_size_and_stays_open():
     names = (("nothing", "", ()), ("stuck", "", (0,)))
     claim = a_claim([0.0, 60.0 / odds.TEMPER], names, named=False, origin="steps")
     assert claim.decided(claim.weighed()) is odds.Decision.OPEN
+    lost = a_claim([0.0, 60.0 / odds.TEMPER, 40.0 / odds.TEMPER], (*names, ("loss", "", (0,))), named=False, origin="steps")
+    assert lost.decided(lost.weighed()) is odds.Decision.OPEN  # its size would be of an explanation that is not likely
 
 
 def test_the_json_holds_what_decides():

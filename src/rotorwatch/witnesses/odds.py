@@ -108,7 +108,7 @@ class Decision(Enum):
 class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
     rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    best: the likeliest row with a size of each other set, where there is one."""
+    best: the likeliest row of each other set, where it has a size."""
 
     claim: float
     none: float
@@ -166,8 +166,7 @@ class Comparison:
         for k in np.argsort(logs, kind="stable"):
             if rows[k].weak and not mine[k]:
                 sums[rows[k].weak] = sums.get(rows[k].weak, 0.0) + float(share[k])
-                if rows[k].group != "stuck":  # its size is of its command's effect
-                    best[rows[k].weak] = rows[k]
+                best[rows[k].weak] = rows[k]
         none = np.array([not r.weak for r in rows]) & ~mine
         slow = np.zeros(self.n)
         for r, p in zip(rows, share):
@@ -177,6 +176,7 @@ class Comparison:
         first = int(np.argmax(logs))
         ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
         others = {who: sums[who] for who in sorted(sums)}
+        best = {who: likeliest for who, likeliest in best.items() if likeliest.group != "stuck"}  # its size is of its command's effect
         return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), best)
 
     def claims(self, one: Row) -> bool:
