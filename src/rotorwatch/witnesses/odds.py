@@ -108,7 +108,8 @@ class Decision(Enum):
 class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
     rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    best: the likeliest row of each other set, where it has a size."""
+    best: the likeliest row with a size of each other set, unless one without
+    is ten times likelier."""
 
     claim: float
     none: float
@@ -162,11 +163,14 @@ class Comparison:
         share /= share.sum()
         sums: dict[tuple[int, ...], float] = {}
         best: dict[tuple[int, ...], Row] = {}
+        sized: dict[tuple[int, ...], float] = {}
         mine = np.array([self.claims(r) for r in rows])
         for k in np.argsort(logs, kind="stable"):
             if rows[k].weak and not mine[k]:
                 sums[rows[k].weak] = sums.get(rows[k].weak, 0.0) + float(share[k])
-                best[rows[k].weak] = rows[k]
+                if rows[k].group != "stuck":  # its size is of its command's effect
+                    best[rows[k].weak] = rows[k]
+                    sized[rows[k].weak] = float(share[k])
         none = np.array([not r.weak for r in rows]) & ~mine
         slow = np.zeros(self.n)
         for r, p in zip(rows, share):
@@ -176,7 +180,7 @@ class Comparison:
         first = int(np.argmax(logs))
         ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
         others = {who: sums[who] for who in sorted(sums)}
-        best = {who: likeliest for who, likeliest in best.items() if likeliest.group != "stuck"}  # its size is of its command's effect
+        best = {who: one for who, one in best.items() if sized[who] > sums[who] / (1.0 + LIMITS.clear)}
         return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), best)
 
     def claims(self, one: Row) -> bool:
