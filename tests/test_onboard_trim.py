@@ -2,6 +2,7 @@
 
 import ctypes
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,7 +97,7 @@ def test_the_same_is_told_on_board(code, how, says):
 )
 def test_a_loss_that_seems_to_grow_and_a_spin_are_not_healthy(count, grew, spun, says):
     """Before anything is certain, on board: no events."""
-    engine = SimpleNamespace(
+    engine: Any = SimpleNamespace(
         events=[], count=0, judged=True, front=SimpleNamespace(air=SimpleNamespace(unseen=0)), spin=SimpleNamespace(spun=spun),
         trim=SimpleNamespace(growth=SimpleNamespace(count=count, grew=grew)),
     )  # fmt: skip
