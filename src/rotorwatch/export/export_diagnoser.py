@@ -75,7 +75,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
         "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "SAMPLES": 64,
         "SETS": subsets.sets_of(n), "AVERAGED": min(sizes.AVERAGED, max(1, round(subsets.AVERAGE_S / dt))),
-        "FITTED": min(sizes.FITTED, max(1, round(rotors_off.FITS_S / dt))), "WENT_OFF": n + 2,
+        "MISFITS": min(sizes.MISFITS, max(1, round(rotors_off.FITS_S / dt))), "WENT_OFF": n + 2,
     }  # fmt: skip
 
 

@@ -26,5 +26,5 @@ LISTED = 128  # losses, or events: the more
 TOLD_EVENTS = 132  # events of which the pilot was told, or will be
 SETS = 137  # sets of rotors that may be off in a spin
 AVERAGED = 8  # ticks in an average there
-FITTED = 20  # ticks in a second
+MISFITS = 20  # ticks in a second
 WENT_OFF = 30  # times that a rotor went off in a spin; beyond, the first are dropped

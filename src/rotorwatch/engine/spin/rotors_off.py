@@ -6,7 +6,7 @@ from rotorwatch.base.compiling.structs import LASTS, REAL, SMALL, TIME, Mask, Re
 from rotorwatch.engine.events.decisions import CERTAIN
 from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sense import Sensed
-from rotorwatch.engine.intake.sizes import FITTED, ROTORS, SETS, WENT_OFF
+from rotorwatch.engine.intake.sizes import MISFITS, ROTORS, SETS, WENT_OFF
 from rotorwatch.engine.spin.subsets import AVERAGE_S, CURVES, PARTS, Subsets
 
 WORKED_S = 1.5  # of controlled flight in which no rotor is off, to compare with
@@ -37,7 +37,7 @@ class RotorsOff(Struct):
     chain = embedded(Subsets)
     all = array(WentOff, WENT_OFF)
     count: Small = 0
-    squares = array(REAL, FITTED)  # of the misfit, ring
+    squares = array(REAL, MISFITS)  # of the misfit, ring
     odds = array(REAL, SETS)  # log odds of each set to `base`, so far
     least = array(REAL, 2, SETS)  # their minimum in this SHOWS_S and in the one before
     since = array(REAL, 2, SETS)  # the tick from which they have grown since that minimum: s after `begun`
@@ -100,7 +100,7 @@ class RotorsOff(Struct):
         self.now = 0
 
     def _conclude(self, v: Vehicle, dt: Time, time: Time) -> None:
-        lasts = min(max(int(FITS_S / dt + 0.5), 1), FITTED)
+        lasts = min(max(int(FITS_S / dt + 0.5), 1), MISFITS)
         self.squares[self.seen % lasts] = self.chain.misfit * self.chain.misfit
         self.seen += 1
         total: Real = 0.0
