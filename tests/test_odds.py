@@ -52,6 +52,13 @@ def test_probabilities_are_weights_times_evidence():
     assert found.others == {(1,): pytest.approx(share[5])} and found.slow == pytest.approx(np.zeros(4))
 
 
+def test_two_at_once_have_both_their_weights_and_a_push_one_more():
+    claim = a_claim([0.0, 0.0, 0.0], (("loss", "step 4", (0,)), ("loss", "push grows", (0,)), ("loss", "push", (1,))))
+    step, push, other = map(claim.weights, claim.rows)
+    assert step == ("loss", "beside", "step", "claimed")
+    assert push == ("loss", "beside", "push", "pushed", "claimed") and other == push[:-1]
+
+
 @pytest.mark.parametrize(("log_odds", "decision"), [(20.0, odds.Decision.LOSS), (-20.0, odds.Decision.DROPPED), (0.0, odds.Decision.OPEN)])
 def test_a_claimed_loss_stands_is_open_or_goes(log_odds, decision):
     names = (("loss", "", (0,)), ("nothing", "", ()))

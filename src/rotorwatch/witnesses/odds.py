@@ -50,17 +50,17 @@ SUREST = 0.955
 SCAN = "rivals"  # origin of claims that only the scan has made
 
 
+def group(name: str) -> str:
+    """The name in WEIGHTS of an explanation: its first word."""
+    return name.partition(" ")[0]
+
+
 class Rival(NamedTuple):
     """An explanation. name: its first word is one of WEIGHTS; beside: name of what acts beside it."""
 
     name: str
     how: Explanation
     beside: str = ""
-
-    @property
-    def group(self) -> str:
-        """The first word of its name."""
-        return self.name.partition(" ")[0]
 
     @property
     def weak(self) -> tuple[int, ...]:
@@ -81,8 +81,8 @@ class Row(NamedTuple):
 
     @property
     def group(self) -> str:
-        """The first word of its name."""
-        return self.name.partition(" ")[0]
+        """Its name in WEIGHTS."""
+        return group(self.name)
 
 
 def row(rival: Rival, fit: Fit) -> Row:
@@ -152,7 +152,7 @@ class Comparison:
 
     def weights(self, one: Row) -> tuple[str, ...]:
         """Names in WEIGHTS of what adds to the log weight of a row."""
-        other = one.beside.partition(" ")[0]
+        other = group(one.beside)
         names = [one.group, *(("beside", other) if other else ()), *(("pushed",) if other == "push" else ())]
         return (*names, "claimed") if self.claims(one) else tuple(names)
 

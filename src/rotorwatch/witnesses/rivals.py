@@ -26,7 +26,7 @@ from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
-from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, row
+from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 register(
@@ -202,9 +202,11 @@ def _over(view: View, event: Event, events: Sequence[Event]) -> Event:
     table, out = view.clear, view.out
     if event.kind != LOSS or event.end_s is not None or event.alternatives or len(event.rotors) != 1 or out is None or table is None:
         return event
+    changes = np.flatnonzero(out.announced & (table.time > event.detected_s))
+    if not changes.size:
+        return event
     known, rest, slow = list_hypotheses(view.B.shape[1]), [e for e in events if e is not event], lagged(table, view.B, ANSWER_S)
     recovery = next(h for h, who in enumerate(known.rotors) if known.kinds[h] == "recovery" and who == (event.rotors[0] - 1,))
-    changes = np.flatnonzero(out.announced & (table.time > event.detected_s))
     for k in changes[np.where(known.fault, out.log_odds[changes], -np.inf).argmax(axis=1) == recovery]:
         end_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
         over, told = replace(event, end_s=end_s), [*rest, event]
@@ -223,7 +225,7 @@ def _log_odds(view: View, end_s: float, without: np.ndarray, lasting: np.ndarray
         if (len(where.ticks.time) - where.onset) * view.clear.dt < SHORTEST_S:
             return -np.inf
         fits = compare(where, [r.how for r in rows])
-        logs.append(np.logaddexp.reduce([WEIGHTS[r.name.partition(" ")[0]] + TEMPER * fit.log_p for r, fit in zip(rows, fits)]))
+        logs.append(np.logaddexp.reduce([WEIGHTS[group(r.name)] + TEMPER * fit.log_p for r, fit in zip(rows, fits)]))
     return float(logs[0] - logs[1])
 
 

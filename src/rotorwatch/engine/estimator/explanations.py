@@ -197,13 +197,13 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
         if ends:
             one.forget(p, THETA + i)
             one.active[i] = False
-    for k in range(2):
-        if how.push > 0.0 and (begins or ends):
+    if how.push > 0.0 and (begins or ends):
+        how.ahead = 1.0
+        how.aside = 0.0
+        for k in range(2):
             one.forget(p, THETA + how.carriers[k])
-        if how.push > 0.0 and begins:
-            how.ahead = 1.0
-            how.aside = 0.0
-            one.P[entry(THETA + how.carriers[k], THETA + how.carriers[k])] = how.push * how.push
+            if begins:
+                one.P[entry(THETA + how.carriers[k], THETA + how.carriers[k])] = how.push * how.push
     if begins or ends:
         for a in range(4):
             one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
