@@ -17,7 +17,7 @@ import numpy as np
 from rotorwatch.answer.wording import rotors
 from rotorwatch.base.arrays import quantile
 from rotorwatch.engine.bindings import event_rows, unexplained_evidence
-from rotorwatch.engine.bindings.explaining import Explanation, Span, compare, lagged, span
+from rotorwatch.engine.bindings.explaining import Explanation, Fit, Span, compare, lagged, span
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.hypotheses import CLEAR as CLEAR_NATS
 from rotorwatch.engine.estimator.plant import ANSWER_S
@@ -26,6 +26,7 @@ from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
+from rotorwatch.witnesses import pushes
 from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
@@ -48,18 +49,19 @@ MARGIN_S = 1.0  # about an end: it is known no better, and rotors may recover in
 LANDED_S = 1.0  # of the log after motion that could refute a loss
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 COMPARED = "compared"  # in View.facts: all comparisons of the flight
+PUSH = Rival("push", Explanation(push=0.5, step=1.0))
 # What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; one that grows with the thrust, as by
 # a load that shifts; a centre of mass that moves: a drift of roll and pitch [hover thrusts per sqrt(s)], which grows with the thrust, and
 # its lever in a side force; and a free wrench, as a factor of the disturbances.
 ELSE = (
     *(Rival(f"step {step:g}", Explanation(step=step)) for step in (1.0, 4.0)),
-    Rival("push", Explanation(push=0.5, step=1.0)),
+    PUSH,
     Rival("push grows", Explanation(push=0.5, step=1.0, swells=0.07)),
     Rival("shift", Explanation(step=1.0, load=1.0)),
     *(Rival(f"move 0.04, lever {lever:g}", Explanation(drift=0.04, lever=lever, load=1.0)) for lever in (0.0, 14.0)),
     Rival("wrench 3", Explanation(step=1.0, force=3.0)),
 )  # fmt: skip
-PASSES, PASSED = ("step 1", "push", "push grows"), " passes"  # of these: what may be over when the change is
+PASSED = " passes"  # of a push that is over
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
 GROWS = 0.07  # of a loss that grows, 1 per sqrt(s)
@@ -71,10 +73,11 @@ SUSPECTS, LATELY, SLOWS_S, INFORMATION = 60.0, 15.0, 0.1, 20.0
 LAGS_S = (0.0, 0.03, 0.06, 0.12)  # of all motors, beyond the lag that the ticks assume
 
 
-def rivals(n: int, claim: tuple[int, ...], end_s: float, cap: float = 0.0) -> list[Rival]:
-    """The explanations of a change that is over at end_s, of n rotors. claim: rotors, from 0, that the change is said to be a loss of: it
-    comes first; cap: thrust that may be the most that they give [hover thrusts], 0: none."""
-    rest = [Rival("nothing", Explanation()), *ELSE, *(_passing(r, end_s) for r in ELSE if r.name in PASSES and end_s < np.inf)]
+def rivals(n: int, claim: tuple[int, ...], end_s: float, pushed_s: float = np.inf, cap: float = 0.0) -> list[Rival]:
+    """The explanations of a change that is over at end_s, or at pushed_s if it was a push, of n rotors. claim: rotors, from 0, that the
+    change is said to be a loss of: it comes first; cap: thrust that may be the most that they give [hover thrusts], 0: none."""
+    rest = [Rival("nothing", Explanation()), *ELSE]
+    rest += [Rival(PUSH.name + PASSED, PUSH.how._replace(end_s=pushed_s))] if pushed_s < np.inf else []
     rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
     rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
     singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
@@ -83,11 +86,6 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float, cap: float = 0.0) -> li
     own = _losses(claim, end_s)
     own += [Rival("capped", Explanation(claim, end_s, cap=cap))] if cap else []
     return [*own, *rest, *singles]
-
-
-def _passing(one: Rival, end_s: float) -> Rival:
-    """What else moves the vehicle, until the end of the change."""
-    return Rival(f"{one.name}{PASSED}", one.how._replace(end_s=end_s))
 
 
 def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
@@ -122,10 +120,12 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     if where is None:
         return None
     cap = quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAP) if claim else 0.0
-    them = rivals(view.B.shape[1], claim, end_s, cap)
+    pushed_s = end_s if end_s < np.inf else pushes.end_s(where)
+    where = replace(where, ends=(end_s, pushed_s))
+    them = rivals(view.B.shape[1], claim, end_s, pushed_s, cap)
     also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
-    fits, said = compare(where, [r.how for r in them]), tuple(map(float, view.said(event.onset_s)))
+    fits, said = _fitted(where, them, end_s), tuple(map(float, view.said(event.onset_s)))
 
     def compared() -> Comparison:
         return Comparison(
@@ -135,9 +135,19 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
 
     if claim:
         more = beside(view.B.shape[1], claim, end_s, them, compared().logs())
-        fits += compare(where, [them[0].how, *(r.how for r in more)])[1:]
+        fits += _fitted(where, [them[0], *more], end_s)[1:]
         them += more
     return compared()
+
+
+def _fitted(where: Span, them: Sequence[Rival], end_s: float) -> list[Fit]:
+    """The fit of each explanation, with what the side force says of a push that begins, or ends with the change at end_s."""
+    begins, ends = (pushes.shove(where, t) for t in (where.ticks.command_time[where.onset], end_s))
+    lift = where.B.shape[1] * begins.lift
+    fits = compare(where, [r.how._replace(lift=lift) if r.how.push else r.how for r in them])
+    both = begins.log_odds + ends.log_odds
+    said = [0.0 if not r.how.push or r.how.swells else both if r.how.end_s == end_s else begins.log_odds for r in them]
+    return [fit._replace(log_p=fit.log_p + more) for fit, more in zip(fits, said)]
 
 
 def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s: float) -> Span | None:
@@ -145,7 +155,8 @@ def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s:
     table, learned = view.clear, view.learned
     assert table is not None and learned is not None
     begun = event.extra.get("grew_until_s", event.detected_s) if named else event.onset_s
-    others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun and not set(e.rotors) & set(event.rotors)]
+    # Up to the next loss, unless that leaves too little.
+    others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun + SHORTEST_S and not set(e.rotors) & set(event.rotors)]
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
     until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
     where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(table, events, event.rotors))

@@ -25,7 +25,7 @@ class Explanation(NamedTuple):
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
     by which it yaws the vehicle in a side force. push: standard deviation of each component of a torque that turns with the world, swells:
-    its walk, 1 per sqrt(s). load: share of the trim of roll and pitch that grows with all thrust."""
+    its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. load: share of the trim of roll and pitch that grows with all thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -41,6 +41,7 @@ class Explanation(NamedTuple):
     load: float = 0.0
     push: float = 0.0
     swells: float = 0.0
+    lift: float = 0.0
 
 
 class Fit(NamedTuple):
@@ -54,13 +55,15 @@ class Fit(NamedTuple):
 
 @dataclass(frozen=True)
 class Span:
-    """Ticks of one hop around a change at `onset`, an index. width (4,): standard deviation of this flight's disturbances."""
+    """Ticks of one hop around a change at `onset`, an index, which may be over at `ends` [s]. width (4,): standard deviation of this
+    flight's disturbances."""
 
     ticks: Ticks
     B: np.ndarray
     y: np.ndarray
     onset: int
     learned: Learned
+    ends: tuple[float, ...] = ()
 
     @property
     def width(self) -> np.ndarray:
@@ -96,10 +99,9 @@ def span(table: Ticks, B: np.ndarray, learned: Learned, onset_s: float, before_s
     return Span(part, B, y, int(np.searchsorted(part.command_time, onset_s)), learned)
 
 
-def _free(rotors: Sequence[int], n: int) -> tuple[int, int]:
-    """Two rotors, none of these where there are as many."""
-    first, second = sorted(range(n), key=lambda i: i in rotors)[:2]
-    return first, second
+def _free(rotors: Sequence[int], n: int) -> list[int]:
+    """Three rotors, none of these where there are as many."""
+    return sorted(range(n), key=lambda i: i in rotors)[:3]
 
 
 def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
@@ -107,6 +109,8 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     n, ticks = where.B.shape[1], where.ticks
     u, _, valid = inputs(ticks, where.B)
     plant = laid_out(parameters(where.B, ticks.dt, dynamics(where.learned, where.B)))
+    for end_s in where.ends:  # known no better, as the onset
+        valid = valid & ~((ticks.command_time >= end_s) & (ticks.command_time < end_s + explanations.SETTLES_S))[:, None]
     tables = np.ascontiguousarray(u, float), np.ascontiguousarray(where.y, float), np.ascontiguousarray(valid, bool)
     noise = np.ascontiguousarray(np.asarray(where.learned.variances).reshape(-1))
     time = ticks.command_time
@@ -117,7 +121,7 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     rows, others = ENGINE.array(explanations.Explanation, len(them)), ENGINE.array(kalman.Branch, max(len(them) - 1, 1))
     columns = {
         name: np.array([getattr(e, name) for e in them])
-        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load", "push", "swells")
+        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load", "push", "swells", "lift")
     }
     rows.fill(
         rotors=np.array([sum(1 << i for i in e.rotors) for e in them]), end=np.array([tick(e.end_s) for e in them]),

@@ -21,10 +21,11 @@ from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL, THETA, YAW, Inputs, Plant, Rows, entry, set_plant
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL, THETA, THRUST, YAW, Inputs, Plant, Rows, drag, entry, set_plant
 from rotorwatch.engine.intake.ticks import JUDGE
 
 WIDTH = 0.5  # standard deviation of a loss before the data
+LEANS = 0.5  # standard deviation of the thrust that a push takes, of that where the vehicle leans into it: free to move, it need not
 SETTLES_S = 0.3  # after a begin or an end whose tick is not known exactly, and which no explanation is to predict
 
 
@@ -44,7 +45,9 @@ class Explanation(Struct):
     lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
     push: Real = 0.0  # standard deviation of both parts of a torque that turns with the world, by a force from outside, hover thrusts
     swells: Real = 0.0  # walk of that torque, hover thrusts per sqrt(s)
-    carriers = array(MASK, 2)  # rotors whose states hold that torque: north and east of the force, as seen at the onset
+    lift: Real = 0.0  # thrust that the push takes where the vehicle leans into it, hover thrusts
+    side = array(REAL, 2)  # forward and right side force at the onset, m/s^2
+    carriers = array(MASK, 3)  # rotors whose states hold that torque, by the north and the east of the force at the onset, and that thrust
     ahead: Real = 1.0  # cosine and sine of the turn since the onset
     aside: Real = 0.0
     load: Real = 0.0  # share of the trim of roll and pitch that grows with the thrust of all rotors, as that of a centre of mass does
@@ -71,7 +74,7 @@ def explain(
 ) -> None:
     """Compare `many` explanations over `count` ticks of one hop. variances: of the noise, 4 components of 4 axes; u, y, valid: as in
     `batch.run`; onset: a tick; others: filters of all but the first, which is the filter of all until the onset. The first explanation's
-    state decides how far inputs are trusted; its end is that of all."""
+    state decides how far inputs are trusted."""
     n = p.rotors
     now = Inputs()
     set_plant(p)
@@ -86,9 +89,7 @@ def explain(
             them[k].square[a] = 0.0
     judged = 0.0
     wrench = local(REAL, 4)
-    settles = max(int(SETTLES_S / p.dt), 1)
-    begin = onset + settles
-    over = them[0].end
+    begin = onset + max(int(SETTLES_S / p.dt), 1)
     for t in range(count):
         first = t * (n + 15)
         if t == onset:
@@ -97,6 +98,8 @@ def explain(
             for k in range(many):
                 for i in range(n):
                     them[k].thrust[i] = now.thrust[i]
+                them[k].side[0] = e.seen.forward
+                them[k].side[1] = e.seen.right
         differing = many if t >= onset else 1
         take(p, u, first, now)
         now.mode = JUDGE
@@ -111,8 +114,7 @@ def explain(
         e.look(p, now, True)
         for a in range(4):
             wrench[a] = e.measured.y[a]
-            known = (t < onset or t >= begin) and (t < over or t >= over + settles)
-            e.measured.counts[a] = e.measured.counts[a] and known
+            e.measured.counts[a] = e.measured.counts[a] and (t < onset or t >= begin)
         _update(p, e, e.branches.all[0], them[0], now, t >= onset, t >= begin)
         for k in range(1, differing):
             for a in range(4):
@@ -158,6 +160,7 @@ def _update(p: Plant, e: Estimator, one: Branch, how: Explanation, now: Inputs, 
             _lever(one, how, now, m)
     if how.push > 0.0 and settled:
         _turn(how, now.rate[2] * p.dt)
+        m.y[YAW] -= _by_push(p, how, e)
         _push(p, how, e.rows, m, one, e.seen.gain_share)
     elif how.turned > 0.0 and settled:
         _yaws(p, how, e.rows, m, one, e.seen.gain_share)
@@ -200,11 +203,14 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
     if how.push > 0.0 and (begins or ends):
         how.ahead = 1.0
         how.aside = 0.0
-        for k in range(2):
-            one.forget(p, THETA + how.carriers[k])
+        for k in range(_carried(how)):
+            held = THETA + how.carriers[k]
+            one.forget(p, held)
             if begins:
-                one.P[entry(THETA + how.carriers[k], THETA + how.carriers[k])] = how.push * how.push
-    if begins or ends:
+                wide = how.push if k < 2 else LEANS * how.lift
+                one.s[held] = 0.0 if k < 2 else how.lift
+                one.P[entry(held, held)] = wide * wide
+    if begins or (ends and how.push <= 0.0):
         for a in range(4):
             one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
 
@@ -248,18 +254,37 @@ def _turn(how: Explanation, angle: Real) -> None:
     how.aside = aside / size
 
 
+def _carried(how: Explanation) -> int:
+    """Number of carriers of a push: without its thrust where too few rotors are free."""
+    return 3 if (how.rotors & (1 << how.carriers[2])) == 0 else 2
+
+
+def _by_push(p: Plant, how: Explanation, e: Estimator) -> Real:
+    """Yaw by the drag of all rotors in the side force that has come with a push, which acts elsewhere."""
+    dragged = local(REAL, ROTORS)
+    drag(p, e.seen.thrust, e.seen.forward - how.side[0], e.seen.right - how.side[1], dragged)
+    total = 0.0
+    for i in range(p.rotors):
+        total += dragged[i]
+    return total
+
+
 def _push(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_share: Reals) -> None:
     """Update an explanation with a force from outside that keeps its direction and its point: its torque, which is that of a force to the
-    right in roll and of one forward in pitch (plant.py), turns against the vehicle's heading."""
-    kept = local(REAL, 4, 2)
-    for k in range(2):
+    right in roll and of one forward in pitch (plant.py), turns against the vehicle's heading. It takes thrust where the vehicle leans."""
+    kept = local(REAL, 4, 3)
+    carried = _carried(how)
+    for k in range(carried):
         for a in range(4):
             kept[a][k] = h.h[a][THETA + how.carriers[k]]
             h.h[a][THETA + how.carriers[k]] = 0.0
+    for k in range(2):
         h.h[ROLL][THETA + how.carriers[k]] = how.aside if k == 0 else -how.ahead
         h.h[PITCH][THETA + how.carriers[k]] = how.ahead if k == 0 else how.aside
+    if carried > 2:
+        h.h[THRUST][THETA + how.carriers[2]] = 1.0
     one.update(p, h, m, gain_share)
-    for k in range(2):
+    for k in range(carried):
         for a in range(4):
             h.h[a][THETA + how.carriers[k]] = kept[a][k]
 

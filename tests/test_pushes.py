@@ -1,0 +1,101 @@
+"""A push from outside in the side force: it begins and ends with a step, and a loss does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_rivals import DT, ONSET_S, QUAD, claim, flight, pushed, view
+
+from rotorwatch.base.physics import G0
+from rotorwatch.engine.bindings.explaining import Explanation, compare, span
+from rotorwatch.engine.bindings.program import estimate
+from rotorwatch.witnesses import pushes, rivals
+
+END_S = ONSET_S + 12.0
+
+
+def aside(ticks, size, end=np.inf, seed=1):
+    """The ticks with a side force [m/s^2] to the north from ONSET_S to end, as the mean of the last half second, in gusts."""
+    time, turn = ticks.time, np.cumsum(ticks.rate[:, 2]) * DT
+    force = size * ((time > ONSET_S) & (time <= end))
+    north = np.convolve(force, np.full(round(pushes.MEAN_S / DT), DT / pushes.MEAN_S))[: len(time)]
+    gusts = np.random.default_rng(seed).normal(0.0, 0.05, (len(time), 2))
+    return replace(ticks, side=np.stack([north * np.cos(turn), -north * np.sin(turn)], axis=1) + gusts)
+
+
+def ticks_around(ticks, until=END_S + 8.0):
+    return span(ticks, QUAD, estimate(ticks, QUAD)[0], ONSET_S, 10.0, until, np.zeros_like(ticks.thrust))
+
+
+@pytest.mark.parametrize(("size", "likely"), [(0.0, False), (0.1, False), (1.0, True), (2.5, True)])
+def test_a_push_is_a_step_of_the_side_force(size, likely):
+    found = pushes.shove(ticks_around(aside(flight(), size)), ONSET_S)
+    assert found.size == pytest.approx(size, abs=0.25) and 0.01 < found.usual < 0.2
+    assert (found.log_odds > 2.0) if likely else (found.log_odds < -1.0)
+    assert found.lift == pytest.approx((found.size / G0) ** 2)
+
+
+def test_without_a_side_force_nothing_is_said():
+    where = ticks_around(flight())
+    assert pushes.shove(where, ONSET_S) == pushes.Shove() and pushes.Shove().log_odds == 0.0
+    assert pushes.end_s(where) == np.inf
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.8])
+def test_the_end_of_a_push_is_the_step_back(rate):
+    ticks = replace(flight(), rate=np.outer(np.ones(len(flight().time)), [0.0, 0.0, rate]))
+    assert pushes.end_s(ticks_around(aside(ticks, 2.0, END_S))) == pytest.approx(END_S - pushes.NEAR_S, abs=0.15)
+
+
+def test_what_the_side_force_says_decides_between_a_push_and_a_loss():
+    """A constant moment in the direction of rotor 2."""
+
+    def moment(time):
+        return np.outer(time > ONSET_S, [*(-0.25 * QUAD[:2, 1]), 0.0, 0.0])
+
+    calm = flight(trim=moment)
+    nats = []
+    for ticks in (aside(calm, 0.0), calm, aside(calm, 2.0)):
+        rows = {(r.name, r.rotors): r.log_p for r in rivals.weigh(view(ticks), claim(2), ()).rows if not r.beside}
+        nats.append(rows["push", ()] - rows["loss", (1,)])
+    assert nats[0] < nats[1] - 1.0 and nats[2] > nats[1] + 2.0
+
+
+def test_a_brief_push_explains_a_loss_whose_end_nobody_has_seen():
+    ticks = pushed(END_S, 0.3)
+    found = rivals.weigh(view(aside(ticks, 2.0, END_S)), claim(2), ())
+    best = max((r for r in found.rows if not r.rotors), key=lambda r: r.log_p)
+    assert best.name == rivals.PUSH.name + rivals.PASSED and found.weighed().none > 0.99
+
+
+def test_a_push_takes_thrust_and_its_drag_is_not_the_rotors():
+    """The vehicle leans into a push, which then also pulls down; and the yaw by the rotors' drag does not grow with it."""
+    lift, force = 0.3, 2.0
+
+    def taken(time):
+        return np.outer(time > ONSET_S, [0.4, 0.0, 0.0, lift])
+
+    where = ticks_around(aside(flight(trim=taken), force), ONSET_S + 15.0)
+    with_, without = (compare(where, [Explanation(push=0.5, step=0.1, lift=x)])[0] for x in (lift, 0.0))
+    assert with_.log_p > without.log_p + 3.0
+
+
+def test_a_push_that_is_over_leaves_the_trim_as_it_is():
+    """It does not explain, as a second step would, what changes at its end and stays."""
+
+    def steps(time):
+        return np.outer(time > ONSET_S, [0.4, 0.2, 0.0, 0.0]) + np.outer(time > END_S, [0.0, 0.0, 0.0, 0.6])
+
+    where = ticks_around(flight(trim=steps))
+    ended = Explanation(push=0.5, step=1.0, end_s=END_S)
+    assert compare(where, [ended])[0].log_p < compare(where, [ended._replace(push=0.0)])[0].log_p
+
+
+def test_the_ticks_about_an_end_are_not_counted():
+    ticks = flight(0.3, end=END_S)
+    where = replace(ticks_around(ticks), ends=(END_S,))
+    spoilt = ticks.command_time[(ticks.command_time > END_S) & (ticks.command_time < END_S + 0.25)]
+    wrench = where.y.copy()
+    wrench[np.isin(where.ticks.command_time, spoilt)] += 3.0
+    fits = [compare(replace(where, y=y), [Explanation((0,), END_S)])[0].log_p for y in (where.y, wrench)]
+    assert fits[0] == pytest.approx(fits[1], abs=1e-6)
