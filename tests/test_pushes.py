@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_rivals import DT, ONSET_S, QUAD, claim, flight, pushed, view
 
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.bindings.explaining import Explanation, compare, span
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.witnesses import pushes, rivals
+from test_rivals import DT, ONSET_S, QUAD, claim, flight, pushed, view
 
 END_S = ONSET_S + 12.0
 

@@ -17,8 +17,8 @@ from rotorwatch.engine.bindings.explaining import Span
 MEAN_S = 0.5  # of the side force in ticks: a step is the difference of two means
 NEAR_S = 0.15  # by which an onset may be wrong
 WIDTH = 1.2  # m/s^2: standard deviation of each component of a push
-# Steps of the side force without a push, as a multiple of this flight's: a vehicle that leans gathers speed. Student's t, fitted to 351 losses
-# of the open world: scale and degrees of freedom.
+# Steps of the side force without a push, as a multiple of this flight's: a vehicle that leans gathers speed. Scale and freedom of
+# Student's t, fitted to 351 losses in the open world.
 SCALE, TAILS = 2.0, 4.0
 LEAST = 0.01  # m/s^2: standard deviation of steps in still air
 LATER_S = 1.0  # after the onset, from which on a push may end

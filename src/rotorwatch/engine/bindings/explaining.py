@@ -25,7 +25,8 @@ class Explanation(NamedTuple):
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
     by which it yaws the vehicle in a side force. push: standard deviation of each component of a torque that turns with the world, swells:
-    its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. load: share of the trim of roll and pitch that grows with all thrust."""
+    its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. load: share of the trim of roll and pitch that grows with all
+    thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf

@@ -21,7 +21,8 @@ from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.hypotheses import NONE
 from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
-from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, PITCH, ROLL, THETA, THRUST, YAW, Inputs, Plant, Rows, drag, entry, set_plant
+from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, Inputs, Plant, Rows, drag, entry, set_plant
+from rotorwatch.engine.intake.craft import PITCH, ROLL, THRUST, YAW
 from rotorwatch.engine.intake.ticks import JUDGE
 
 WIDTH = 0.5  # standard deviation of a loss before the data
