@@ -66,7 +66,8 @@ class Scene:
 def simulated(
     seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Callable | None = None, frames: Sequence[str] = ()
 ) -> list[Scene]:
-    """Scenes of these airframes, by default all of AIRFRAMES: for each seed a healthy flight, and one for each loss of a random rotor at a random time."""
+    """Scenes of these airframes, by default all of AIRFRAMES: for each seed a healthy flight, and one for each loss of a random rotor at a
+    random time."""
     scenes, frames = [], frames or AIRFRAMES
     for k, frame in enumerate(frames):
         vehicle = airframes.named(frame)
