@@ -193,8 +193,9 @@ def test_motors_that_nothing_tells_apart():
 
 
 def test_none_counts_once_control_is_lost_or_of_a_motor_that_is_gone(monkeypatch):
-    monkeypatch.setattr(desync, "channels", lambda *_: seen("long", True))
-    monkeypatch.setattr(desync, "search", lambda _: found("long", True))
+    channels, every = seen("long", True), found("long", True)
+    monkeypatch.setattr(desync, "channels", lambda *_: channels)
+    monkeypatch.setattr(desync, "search", lambda _: every)
     assert max(desync.find(None, None, ())[0].extra[TIMES]) > 20.0
     lost = Event("loss_of_control", (), 20.0, 20.1, None, (), (), 1.0)
     (event,) = desync.find(None, None, (), (lost,))
