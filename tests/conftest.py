@@ -1,7 +1,6 @@
 """What all tests share: how JAX compiles for them, and a fabricated but complete diagnosis, as the diagnoser would make it."""
 
 import ctypes
-import functools
 import gc
 import importlib.util
 import mmap
@@ -73,41 +72,8 @@ running.Definition.build = _quickly_built
 gc.set_threshold(50_000, 20, 50)
 
 
-def _defaults_found_once():
-    """Bokeh looks up the default of each property again for each object, in half of the time that a page takes."""
-    from bokeh.core.has_props import HasProps
-    from bokeh.core.property.descriptors import PropertyDescriptor as Descriptor
-
-    found = Descriptor.instance_default
-    stable, unstable = functools.cache(Descriptor.class_default), functools.cache(Descriptor.has_unstable_default)
-
-    def default(descriptor, thing):
-        own = thing.themed_values() is not None or unstable(descriptor, type(thing))
-        return found(descriptor, thing) if own else stable(descriptor, type(thing))
-
-    HasProps.themed_values = lambda thing: vars(thing).get("__themed_values__")
-    HasProps._overridden_defaults = classmethod(functools.cache(HasProps._overridden_defaults.__func__))
-    Descriptor.has_unstable_default = lambda descriptor, thing: unstable(descriptor, type(thing))
-    Descriptor.instance_default = default
-
-
-def _one_context():
-    """JAX makes a context of all dialects for every program: 5 ms. One serves the programs of a file."""
-    mlir = importlib.import_module("jax._src.interpreters.mlir")
-    mlir.make_ir_context = functools.cache(mlir.make_ir_context)
-    return mlir.make_ir_context
-
-
-_context = None
-
-
 def pytest_collection_finish():
     """What has been imported and collected by now stays, and is not looked through again."""
-    global _context
-    if importlib.util.find_spec("bokeh"):
-        _defaults_found_once()
-    if "jax" in sys.modules:
-        _context = _one_context()
     gc.collect()
     gc.freeze()
 
@@ -172,8 +138,6 @@ def _what_files_leave_behind_goes():
     program holds some 20 memory maps, of which a process may have 65,530: beyond that JAX dies without a word.
     """
     yield
-    if _context:
-        _context.cache_clear()
     global _held
     if _in_memory() > _held + GROWN or _maps() > MAPS:
         if "jax" in sys.modules:
