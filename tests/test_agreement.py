@@ -40,23 +40,20 @@ FAULTS = [
 
 
 @cache
-def simulated(frame):
-    """Diagnoses of one flight for each of FAULTS."""
-    from rotorwatch_lab.simulation import Simulated, plan, record_of, scenario, simulate_batch
+def simulated(frame, k):
+    """A flight with one of FAULTS."""
+    from rotorwatch_lab.simulation import scenario, simulate
 
     rest = {"duration_s": 30.0, "airframe": {"frame": frame}, "trajectory": {"altitude_m": 5.0, "land": False}, "wind": {"speed_m_s": 1.0}}
-    asked = [scenario.from_table({**rest, "seed": k, "faults": f}) for k, f in enumerate(FAULTS)]
-    records = simulate_batch(asked)
-    return [Simulated(s, plan(s), record_of(records, k)).flight for k, s in enumerate(asked)]
+    return simulate(scenario.from_table({**rest, "seed": k, "faults": FAULTS[k]})).flight
 
 
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("frame", ["hexa-x", "quad-x"])
 def test_simulated_flights(frame, amount):
-    flights = simulated(frame)
-    answers = [rw.diagnose(f) for f in flights[:: amount(2, 1)]]
-    answers += [rw.diagnose(f, baseline=[flights[0]]) for f in flights[1 : amount(3, 6)]]
-    answers.append(rw.diagnose(flights[1].until(7.0)))  # hardly judged
+    answers = [rw.diagnose(simulated(frame, k)) for k in range(0, len(FAULTS), amount(2, 1))]
+    answers += [rw.diagnose(simulated(frame, k), baseline=[simulated(frame, 0)]) for k in range(1, amount(3, 6))]
+    answers.append(rw.diagnose(simulated(frame, 1).until(7.0)))  # hardly judged
     assert {a.verdict for a in answers} >= {"healthy", "fault", "inconclusive"}
     plotted = [a if k in (1, 5) else replace(a, trace=None) for k, a in enumerate(answers)]  # pages without plots are made faster
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()

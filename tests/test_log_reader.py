@@ -60,7 +60,7 @@ def project(tmp_path_factory):
 def build(project, tmp_path_factory):
     """build(flags) -> the command; the engine, which is tested elsewhere, is compiled once and without them."""
     folder = tmp_path_factory.mktemp("built")
-    common, engine = ["gcc", "-std=c99", "-ffp-contract=off", "-O1", "-c"], folder / "engine.o"
+    common, engine = ["gcc", "-std=c99", "-ffp-contract=off", "-O0", "-c"], folder / "engine.o"
 
     def made(*flags):
         if not engine.exists():
@@ -84,7 +84,7 @@ def page(project, tmp_path_factory, amount):
     """The folder with rotorwatch.wasm, rotorwatch.mjs and rotorwatch.html. With --thorough it is optimised as for users."""
     folder, running = tmp_path_factory.mktemp("page"), exporter.running
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "VECTORS", amount(("-O1", *running.VECTORS[1:]), running.VECTORS))
+        patch.setattr(running, "VECTORS", amount(("-O0", *running.VECTORS[1:]), running.VECTORS))
         try:
             exporter.export_log_reader(folder, page=True)
         except ConfigError as why:

@@ -9,6 +9,7 @@ both languages need to know, frames, constants and names, is written from here i
 from __future__ import annotations
 
 import base64
+import functools
 import json
 import shutil
 import subprocess
@@ -82,9 +83,12 @@ def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
     return tuple(written)
 
 
+_engine = functools.cache(ENGINE.translated)
+
+
 def sources() -> dict[str, str]:
     """File name -> text of the library."""
-    config, header, source = ENGINE.translated()
+    config, header, source = _engine()
     texts = {path.name: path.read_text(encoding="utf-8") for path in sorted(SOURCES.glob("*.[ch]"))}
     lone = Translation([lone_values], given=[Translation([medians])])
     texts |= {"rw_lone.h": lone.header("Lone values.", ["rw_engine.h"], "lone"), "rw_lone.c": lone.source("rw_lone.h")}

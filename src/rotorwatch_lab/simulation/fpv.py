@@ -80,21 +80,23 @@ def fly(
     omega, n, air, total, slope, before = (np.zeros((count, k)) for k in (3, 4, 3, 3, 3, 3))
     out = {name: np.zeros((steps, count, k), np.float32) for name, k in (("u", 4), ("gyro", 3), ("n", 4))}
     keep, white = np.exp(-DT / AIR_S), WHITE * np.sqrt(0.004 / DT)
+    stirred, rough = np.sqrt(1.0 - keep**2) * AIR, 1.0 + (WASH - 1.0) * wash[:, :, None]
     for k in range(steps):
-        gyro = omega + GYRO * rng.standard_normal((count, 3))
+        drawn = rng.standard_normal((3, count, 3))
+        gyro = omega + GYRO * drawn[0]
         slope += DT / (D_S + DT) * ((gyro - before) / DT - slope)
         before = gyro
         error = wanted[k] - gyro
         flies = throttle[k] > 0.0
-        total = np.clip(total + error * DT * flies[:, None], -0.5, 0.5)
+        total = np.minimum(np.maximum(total + error * DT * flies[:, None], -0.5), 0.5)
         u = _mixed(PROPORTIONAL * error + INTEGRAL * total - DERIVATIVE * slope, throttle[k])
         u = np.where(flies[:, None], u, 0.0)
         goal = np.sqrt((1.0 - curve) * u + curve * u * u) * alive[k]
         lag = np.where(goal > n, LAG_S * (1.0 + IDLE_SPIN_UP * (n < 0.25)), RUNS_DOWN_S)
         speeding = (goal - n) / lag
         n = n + DT * speeding
-        air = keep * air + np.sqrt(1.0 - keep**2) * AIR * rng.standard_normal((count, 3))
-        noise = (air + white * rng.standard_normal((count, 3))) * (1.0 + (WASH - 1.0) * wash[k][:, None])
+        air = keep * air + stirred * drawn[1]
+        noise = (air + white * drawn[2]) * rough[k]
         turning = GAIN * ((n * n * weak[k]) @ MIX.T) - DAMPING * omega + noise + pushed[k]
         turning[:, 2] += INERTIA * (speeding @ MIX[2])
         omega = (omega + DT * turning) * flies[:, None]
@@ -107,9 +109,10 @@ def fly(
 def _mixed(torque: np.ndarray, throttle: np.ndarray) -> np.ndarray:
     """Commands (count, 4) as the firmware mixes them: torque before throttle, within the outputs' range (airmode)."""
     turn = torque @ MIX
-    span = turn.max(axis=1) - turn.min(axis=1)
-    turn /= np.maximum(span / (1.0 - IDLE), 1.0)[:, None]
-    middle = np.clip(throttle, IDLE - turn.min(axis=1), 1.0 - turn.max(axis=1))
+    least, most = turn.min(axis=1), turn.max(axis=1)
+    less = np.maximum((most - least) / (1.0 - IDLE), 1.0)
+    turn /= less[:, None]
+    middle = np.minimum(np.maximum(throttle, IDLE - least / less), 1.0 - most / less)
     return middle[:, None] + turn
 
 

@@ -63,10 +63,13 @@ class Scene:
         return log_plant.hops(self.ticks, self.B)
 
 
-def simulated(seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Callable | None = None) -> list[Scene]:
-    """Scenes of every airframe: for each seed a healthy flight, and one for each loss of a random rotor at a random time."""
-    scenes = []
-    for k, frame in enumerate(AIRFRAMES):
+def simulated(
+    seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Callable | None = None, frames: Sequence[str] = ()
+) -> list[Scene]:
+    """Scenes of these airframes, by default all of AIRFRAMES: for each seed a healthy flight, and one for each loss of a random rotor at a
+    random time."""
+    scenes, frames = [], frames or AIRFRAMES
+    for k, frame in enumerate(frames):
         vehicle = airframes.named(frame)
         rng = np.random.default_rng(7 + k)
         plan = [(s, loss) for s in range(seeds) for loss in (0.0, *losses)]
@@ -77,7 +80,7 @@ def simulated(seeds: int = 2, losses: Sequence[float] = (0.2, 0.4), progress: Ca
             faults = ((int(rotor) + 1, float(onset), loss),) if loss else ()
             scenes.append(_scene(f"simulated {frame.removeprefix('ardupilot-')}", flight, vehicle, faults))
         if progress:
-            progress((k + 1) / len(AIRFRAMES), "simulating")
+            progress((k + 1) / len(frames), "simulating")
     return [s for s in scenes if s is not None]
 
 
@@ -108,7 +111,9 @@ def simulate(vehicle: Vehicle, losses, rotors, onsets, rng: np.random.Generator)
         active = (t >= np.asarray(onsets))[:, None]
         wrench = (thrust * (1.0 - loss * active)) @ (to_torque @ B).T + gust * np.array([1.0, 1.0, 1.0, n])
         gust = fade * gust + GUST_SD * np.sqrt(1 - fade**2) * rng.standard_normal((F, 4))
-        torque = wrench[:, :3] - np.cross(rate, INERTIA * rate) - DAMPING * rate
+        turning = INERTIA * rate  # (rates x turning, without NumPy's cross, which takes several times as long)
+        turning = rate[:, [1, 2, 0]] * turning[:, [2, 0, 1]] - rate[:, [2, 0, 1]] * turning[:, [1, 2, 0]]
+        torque = wrench[:, :3] - turning - DAMPING * rate
         rate = rate + STEP * torque / INERTIA
         angle = angle + STEP * rate
         load = wrench[:, 3] / n

@@ -5,6 +5,7 @@ It begins in trimmed hover at the working height and ends in the air; a helicopt
 
 from __future__ import annotations
 
+import functools
 from collections import namedtuple
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -54,19 +55,25 @@ class Record(namedtuple("Record", "time p v q omega rates accel command actuator
     plant; wind (3,) NED [m/s]; flies: 0 on the ground."""
 
 
+@functools.lru_cache
+def _pilot(frame: str, lag: float, gyro_hz: float) -> Pilot:
+    """Many flights have the same: its trim takes a second."""
+    return control.tune(dynamics.plant(airframes.paper(frame)), lag, gyro_hz)
+
+
 def plan(scenario: Scenario) -> Plan:
     """The scenario's numbers. Raises ConfigError for a helicopter that cannot fly."""
     a, way = scenario.airframe, scenario.trajectory
     data = airframes.paper(a["frame"])
-    system, lag = dynamics.plant(data), a["lag_s"]
-    loaded = float(data["mass"]) + a["payload_kg"]
-    dynamics.trim(dynamics.plant(data, loaded))  # says so when it is too heavy
+    lag, loaded = a["lag_s"], float(data["mass"]) + a["payload_kg"]
+    if a["payload_kg"]:
+        dynamics.trim(dynamics.plant(data, loaded))  # says so when it is too heavy
     # With no height to climb, the manoeuvre's own time begins this long after the take-off.
     begin = way["take_off_s"] - 1.0 - trajectories.HOVER_FIRST
     return Plan(
         mass=np.array(loaded),
         lag=np.array(lag),
-        pilot=control.tune(system, lag, scenario.sensors["gyro_filter_hz"]),
+        pilot=_pilot(a["frame"], lag, scenario.sensors["gyro_filter_hz"]),
         way=prepare.way(scenario, altitude=0.0, take_off=begin, landing=faults.NEVER),
         altitude=np.array(way["altitude_m"]),
         wind=prepare.air(scenario, float(data["main"]["radius"])),
