@@ -42,6 +42,7 @@ LEAST_FRAME, SHARE = 5, 0.2  # windows, and share of the informative ones, in wh
 SCALES = 0.7, 1.7  # gain by differences over that by level; sound logs have 0.97 to 1.03, old firmware up to 1.5
 ALIKE = 1.4  # factor between those of most windows
 STILL = 0.002  # share of the outputs' range: two microseconds
+CHUNK = 1 << 15  # outputs times rotors times lags compared at once
 SAME_S = 0.05  # lags of windows that differ by less are the same
 
 
@@ -64,33 +65,44 @@ class Mixing:
     def costs(self, lag_s: float = 0.0, trim: bool = True) -> np.ndarray:
         """(windows, n, n), NaN in uninformative windows. lag_s: delay of outputs behind the demand. trim: include the means over each
         window, which hold no information on time."""
-        y, d, of_y, of_d, gain, scale = self._compared(lag_s, trim)
-        both, gain = np.add.reduceat(y[:, :, None] * d[:, None, :], self.starts), gain[:, :, None]
-        return (of_y[:, :, None] + gain**2 * of_d[:, None, :] - 2.0 * gain * both) / scale[:, :, None]
+        y, d, of_y, of_d, gain, scale = (x[0] for x in self._compared(np.array([lag_s]), trim))
+        both = np.add.reduceat(y[:, None] * d, self.starts, axis=2)
+        return ((of_y[:, None] + gain**2 * of_d - 2.0 * gain * both) / scale[:, None]).transpose(2, 0, 1)
 
-    def own(self, lag_s: float) -> np.ndarray:
-        """(windows,) mean cost of the outputs by their own rows, without trim: the mean of the diagonals of `costs`."""
-        y, d, of_y, of_d, gain, scale = self._compared(lag_s, trim=False)
-        return ((of_y + gain**2 * of_d - 2.0 * gain * np.add.reduceat(y * d, self.starts)) / scale).mean(axis=1)
+    def own(self, lags_s: np.ndarray) -> np.ndarray:
+        """(lags, windows) mean cost of the outputs by their own rows, without trim: the mean of the diagonals of `costs`."""
+        many = max(1, CHUNK // self.thrust.size)
+        return np.concatenate([self._own(lags_s[k : k + many]) for k in range(0, len(lags_s), many)])
 
-    def _compared(self, lag_s: float, trim: bool) -> tuple[np.ndarray, ...]:
-        """y, d (m, n); of each window the sums of their squares (windows, n), the gain g (windows, 1), NaN in uninformative ones, and the
-        scale of costs (windows, n)."""
-        n, paired, control = len(self.mixer), *self._asked(lag_s)
-        count = np.add.reduceat(paired, self.starts, dtype=float)
-        y, d = (self._apart(x, paired, count, trim) for x in (self.thrust, control @ self.mixer.T))
-        of_y, of_d = (np.add.reduceat(x * x, self.starts) for x in (y, d))
-        power = of_y.sum(axis=1), of_d.sum(axis=1)
+    def _own(self, lags_s: np.ndarray) -> np.ndarray:
+        y, d, of_y, of_d, gain, scale = self._compared(lags_s, trim=False)
+        return ((of_y + gain**2 * of_d - 2.0 * gain * np.add.reduceat(y * d, self.starts, axis=2)) / scale).mean(axis=1)
+
+    def _compared(self, lags_s: np.ndarray, trim: bool) -> tuple[np.ndarray, ...]:
+        """y, d (lags, n, m), y without its mean over each window unless `trim`; of each window the sums of their squares (lags, n,
+        windows), the gain g (lags, 1, windows), NaN in uninformative ones, and the scale of costs (lags, n, windows). What is the same for
+        all lags comes once."""
+        n, paired, control = len(self.mixer), *self._asked(lags_s)
+        paired = paired[:1] if paired.all() else paired
+        count = np.add.reduceat(paired, self.starts, axis=2, dtype=float)
+        y, d = (np.where(paired, x, 0.0) for x in (_apart(self.thrust.T), _apart(self.mixer) @ control))
+        of_d = np.add.reduceat(d * d, self.starts, axis=2)
+        if not trim:
+            means, rows = np.add.reduceat(y, self.starts, axis=2) / np.maximum(count, 1.0), np.diff([*self.starts, len(self.time)])
+            y = np.where(paired, y - np.repeat(means, rows, axis=2), 0.0)
+            of_d -= np.add.reduceat(d, self.starts, axis=2) ** 2 / np.maximum(count, 1.0)
+        of_y = np.add.reduceat(y * y, self.starts, axis=2)
+        power = of_y.sum(axis=1, keepdims=True), of_d.sum(axis=1, keepdims=True)
         seen = (count >= LEAST) & (power[0] > count * n * SEEN**2) & (power[1] > count * n * ROUNDED**2)
-        gain = np.sqrt(power[0] / np.where(seen, power[1], np.nan))[:, None]
+        gain = np.sqrt(power[0] / np.where(seen, power[1], np.nan))
         # For a rotor that moves less than the others, these set the scale: it shows only rounding.
-        scale = np.maximum(np.maximum(of_y, 0.1 * power[0][:, None] / n), 1e-12)
+        scale = np.maximum(np.maximum(of_y, 0.1 * power[0] / n), 1e-12)
         return y, d, of_y, of_d, gain, scale
 
     def unexplained(self) -> np.ndarray:
         """(windows, n) share of each output's differences from the others that no mixer explains; 1 in uninformative windows, or where an
         output stands still, which shifts the mean of all."""
-        paired, control = self._asked(0.0)
+        paired, control = self._now
         y = self.thrust - self.thrust.mean(axis=1, keepdims=True)
         shares = np.ones((len(self.starts), len(self.mixer)))
         for w, (a, b) in enumerate(zip(self.starts, [*self.starts[1:], len(self.time)])):
@@ -103,7 +115,7 @@ class Mixing:
     def scales(self) -> np.ndarray:
         """(windows,) gain of the mixer by differences between rotors, over that by their mean thrust: 1 where m is the curve assumed by
         the mixer. NaN where outputs do not follow their rows."""
-        paired, control = self._asked(0.0)
+        paired, control = self._now
         own = np.diagonal(self.costs(), axis1=1, axis2=2).max(axis=1)
         asked, scales = control @ self.mixer.T, np.full(len(self.starts), np.nan)
         for w, (a, b) in enumerate(zip(self.starts, [*self.starts[1:], len(self.time)])):
@@ -114,21 +126,23 @@ class Mixing:
                 scales[w] = (y * apart).sum() / (apart**2).sum() / (y.mean() / max(float(d.mean()), 1e-9))
         return scales
 
-    def _asked(self, lag_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) bool, where the rate controller's output is known `lag_s` before an output, and that output (m, 4)."""
-        when, time = self.time - lag_s, self.control.time
+    @property
+    def _now(self) -> tuple[np.ndarray, np.ndarray]:
+        """(m,), (m, 4) of `_asked` at the time of the outputs."""
+        paired, control = self._asked(np.zeros(1))
+        return paired[0, 0], control[0].T
+
+    def _asked(self, lags_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(lags, 1, m) bool, where the rate controller's output is known that long before an output, and that output (lags, 4, m)."""
+        when, time = self.time - lags_s[:, None], self.control.time
         after = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
         paired = (np.abs(when - time[after - 1]) < PAIR_S) & (np.abs(time[after] - when) < PAIR_S)
-        return paired, np.column_stack([np.interp(when, time, column) for column in self.control.values.T])
+        return paired[:, None], np.stack([np.interp(when, time, column) for column in self.control.values.T], axis=1)
 
-    def _apart(self, x: np.ndarray, paired: np.ndarray, count: np.ndarray, trim: bool) -> np.ndarray:
-        """(m, n) less its means over the rotors and, unless `trim`, over the paired rows of each window; 0 elsewhere."""
-        x = np.where(paired[:, None], x - x.mean(axis=1, keepdims=True), 0.0)
-        if trim:
-            return x
-        means = np.add.reduceat(x, self.starts) / np.maximum(count, 1.0)[:, None]
-        lengths = np.diff([*self.starts, len(x)])
-        return np.where(paired[:, None], x - np.repeat(means, lengths, axis=0), 0.0)
+
+def _apart(x: np.ndarray) -> np.ndarray:
+    """(n, m) less its mean over the rotors."""
+    return x - x.mean(axis=0)
 
 
 def mixing(flight: Flight, vehicle: Vehicle, air: Spans) -> Mixing | None:
@@ -236,11 +250,11 @@ def lags(found: Mixing) -> tuple[Lag, ...] | None:
 
     Each window has the lag at which its differences fit best; one that fits at none is ignored.
     """
-    now = found.own(0.0)
+    now = found.own(np.zeros(1))
     if not (now > STRAYS * FOLLOWS).sum() > 0.5 * LEAST_WINDOWS:
         return ()
     tried = np.concatenate([-np.arange(LAG_S, LATEST_S, LAG_S)[::-1], np.arange(0.0, LATEST_S, LAG_S)])
-    costs = np.stack([found.own(lag) for lag in tried])
+    costs = found.own(tried)
     costs[np.isnan(costs)] = np.inf
     best, rows = costs.argmin(axis=0), np.arange(costs.shape[1])
     telling = (costs[best, rows] < FOLLOWS) & (BETTER * costs[best, rows] < np.maximum(median(costs, axis=0), 1e-9))

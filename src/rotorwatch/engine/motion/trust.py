@@ -73,6 +73,11 @@ class Case:
         return mixing.mixing(self.flight, self.vehicle, self.air)
 
     @cached_property
+    def another_order(self) -> str | None:
+        """Outputs that follow the mixer's demand on other rotors."""
+        return mixing.outputs_in_another_order(self.mixing)
+
+    @cached_property
     def turning(self) -> Signal | None:
         """Angular rates."""
         return self.flight.angular_rate()
@@ -168,12 +173,12 @@ def frame_without_outputs(case: Case) -> str | None:
 
 def outputs_in_another_order(case: Case) -> str | None:
     """Outputs that follow the mixer's demand on other rotors."""
-    return mixing.outputs_in_another_order(case.mixing)
+    return case.another_order
 
 
 def outputs_of_another_mixer(case: Case) -> str | None:
     """Outputs that follow the rate controller by another mixer than the frame's, in whatever order."""
-    return None if outputs_in_another_order(case) else mixing.outputs_of_another_mixer(case.mixing)
+    return None if case.another_order else mixing.outputs_of_another_mixer(case.mixing)
 
 
 def outputs_of_another_range(case: Case) -> str | None:
