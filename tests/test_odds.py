@@ -132,6 +132,8 @@ def test_the_json_holds_what_decides():
     assert table["decision"] == again.decided(again.weighed()).value
     assert [r["nats"] for r in table["explanations"]] == [12.0, 11.0, 0.0, 3.0, 8.0, 1.0]
     assert table["explanations"][5]["weak"] == [2]
+    either = replace(claim, named=False, rotors=(2, 3))  # of any one of them
+    assert either.to_dict()["probability"] == odds.stated(either.weighed().others[1,])
 
 
 def drawn(count, weights, temper, seed=0, names=NAMES):

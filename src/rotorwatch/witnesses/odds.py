@@ -228,10 +228,12 @@ class Comparison:
         """The documented JSON structure (docs/json.md)."""
         nothing = next(r.log_p for r in self.rows if r.name == "nothing")
         found = self.weighed()
+        any_of = {r - 1 for r in self.rotors}
+        claimed = found.claim if self.named else sum(p for who, p in found.others.items() if any_of.intersection(who))
         return {
             "onset_s": self.onset_s, "rotors": self.rotors, "named": self.named, "alternatives": self.alternatives, "origin": self.origin,
             "grows": self.grows, "said": [round(x, 3) for x in self.said],
-            "decision": self.decided(found).value, "probability": stated(found.claim), "probability_none": 1.0 - stated(1.0 - found.none),
+            "decision": self.decided(found).value, "probability": stated(claimed), "probability_none": 1.0 - stated(1.0 - found.none),
             "explanations": [
                 {
                     "name": r.name, "beside": r.beside, "rotors": [i + 1 for i in r.rotors], "weak": [i + 1 for i in r.weak],
