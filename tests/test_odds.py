@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.kinds import SUREST
 from rotorwatch.toolkit import odds
 from rotorwatch_lab.campaign import claims, odds_ablation, odds_fit, reliability
 from rotorwatch_lab.campaign.claims import Fault, Flown
@@ -115,10 +116,11 @@ def test_a_stuck_rotor_alone_has_no_size_and_stays_open():
     assert lost.decided(lost.weighed()) is odds.Decision.OPEN  # its size would be of an explanation that is not likely
 
 
-def test_odds_are_stated_by_their_root_and_never_as_certain():
-    assert odds.stated(0.5) == pytest.approx(0.5 * (odds.LEAST + odds.SUREST))
-    assert odds.stated(0.9) == pytest.approx(odds.LEAST + 0.75 * (odds.SUREST - odds.LEAST))  # odds of 9 count as 3
-    assert (odds.stated(0.0), odds.stated(1.0 + 1e-16)) == (odds.LEAST, pytest.approx(odds.SUREST))
+def test_odds_are_stated_weaker_than_they_decide_and_never_as_certain():
+    assert odds.stated(0.5) == pytest.approx(0.5 * (odds.LEAST + SUREST))
+    weaker = 9.0**odds.POWER
+    assert odds.stated(0.9) == pytest.approx(odds.LEAST + weaker / (1.0 + weaker) * (SUREST - odds.LEAST)) and 2.0 < weaker < 6.0
+    assert (odds.stated(0.0), odds.stated(1.0 + 1e-16)) == (odds.LEAST, pytest.approx(SUREST))
 
 
 def test_the_json_holds_what_decides():
@@ -201,11 +203,11 @@ def test_ablation_counts_what_changes():
 
 
 def test_reliability_is_read_from_both_statements():
-    two, half = (NAMES[0], NAMES[2]), {name: 0.5 * w for name, w in odds.WEIGHTS.items()}
-    honest = reliability.bins(drawn(3000, half, 0.5 * odds.TEMPER, names=two))  # as `stated` has it
+    two, weaker = (NAMES[0], NAMES[2]), {name: odds.POWER * w for name, w in odds.WEIGHTS.items()}
+    honest = reliability.bins(drawn(3000, weaker, odds.POWER * odds.TEMPER, names=two))  # as `stated` has it
     judged = [b for b in honest if b.judged and b.statement == "rotor"]
     assert len(judged) > 5 and all(abs(b.off) < 0.1 for b in judged)
-    boasts = reliability.bins(drawn(3000, half, 0.05 * odds.TEMPER, names=two))
+    boasts = reliability.bins(drawn(3000, weaker, 0.1 * odds.POWER * odds.TEMPER, names=two))
     assert max(abs(b.off) for b in boasts if b.judged) > 0.2
     assert "rotor at fault" in reliability.markdown(honest) and reliability.to_dict(honest)[0]["right"]["n"] > 0
 
