@@ -1,20 +1,23 @@
 """How much of the default estimator's evidence on healthy flights its other conditions let pass: the factor GATES of announcement.py.
 
-    python benchmarks/gates.py [--hours 100] [--first 10000] [--jobs 1] [--keep FOLDER]
+    python benchmarks/gates.py [--flights 2000] [--seed 4977] [--jobs 1] [--keep FOLDER]
 
 Flights of plans/open.toml whose rotors are healthy, each as its log would be. Counted, for thresholds `shift` nats higher than the one in
 use: flights in which the evidence of a fault passes the threshold at a judged tick, and how many of these are announced. Printed with the
-exact 95 % interval of the share (Clopper and Pearson, Biometrika 26, 1934). --first: number of the first flight; docs/results.md's table is
-of the first 2000. --keep: what is finished; the same call goes on from there.
+exact 95 % interval of the share (Clopper and Pearson, Biometrika 26, 1934). The last shift is that of a factor of 1. --seed: instead of the
+plan's own. --keep: what is finished; the same call goes on from there.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
+from math import log
 from pathlib import Path
 
 from scipy.stats import beta
 
+from rotorwatch.engine.estimator.announcement import GATES
 from rotorwatch.toolkit import JUDGE, program
 from rotorwatch_lab.campaign import batch
 from rotorwatch_lab.campaign.plan import read
@@ -22,14 +25,13 @@ from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.studies import false_alarms
 
 OPEN = Path(__file__).resolve().parents[1] / "plans" / "open.toml"
-SHIFTS = (-4.0, -2.0, 0.0)
-SHARE = 0.55  # of the plan's flights that are healthy and judged, by which the hours are planned
-JUDGED_S = 56.0  # of a flight
+SHIFTS = (-4.0, -2.0, 0.0, -log(GATES))
 
 
-def judged(numbers: list[int]) -> list[tuple[str, float, list[tuple[bool, bool]]]]:
-    """(kind, judged hours, (passed, announced) at each of SHIFTS) of the healthy ones of these flights of one cell."""
-    plan, rows = read(OPEN), []
+def judged(part: tuple[int, list[int]]) -> list[tuple[str, float, list[tuple[bool, bool]]]]:
+    """(kind, judged hours, (passed, announced) at each of SHIFTS) of these flights of one cell, with this seed."""
+    seed, numbers = part
+    plan, rows = replace(read(OPEN), seed=seed), []
     for flown in batch.fly(plan, numbers, batch.CPU_WIDTH):
         table, B = flown.ticks, flown.vehicle.effectiveness()
         _, out = program.estimate(table, B)
@@ -45,18 +47,18 @@ def judged(numbers: list[int]) -> list[tuple[str, float, list[tuple[bool, bool]]
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, default=100.0)
-    parser.add_argument("--first", type=int, default=10_000)
+    parser.add_argument("--flights", type=int, default=2000)
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--keep", type=Path)
     given = parser.parse_args()
     plan = read(OPEN)
-    count = round(given.hours * 3600.0 / JUDGED_S / SHARE)
+    plan = replace(plan, seed=plan.seed if given.seed is None else given.seed)
     parts = [
-        [k for k in (given.first + j for j in numbers) if plan.kind(k).name.startswith("healthy")]  # type: ignore
-        for numbers in tools.batches(count, len(plan.cells), batch.CPU_WIDTH)
+        (plan.seed, [k for k in numbers if plan.kind(k).name.startswith("healthy")])  # type: ignore
+        for numbers in tools.batches(given.flights, len(plan.cells), batch.CPU_WIDTH)
     ]
-    rows = tools.gathered(judged, [part for part in parts if part], given.jobs, keep=given.keep, progress=lambda s, _: print(f"{s:.1%}"))
+    rows = tools.gathered(judged, [part for part in parts if part[1]], given.jobs, keep=given.keep, progress=lambda s, _: print(f"{s:.1%}"))
     hours = sum(row[1] for row in rows)
     print(f"{len(rows)} healthy flights, {hours:.1f} judged hours")
     lines = []

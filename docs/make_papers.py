@@ -29,7 +29,8 @@ HEAD = f"""# The five papers
 Claims of each paper beside our reproduction (`rotorwatch reproduce --all`); made by `python docs/make_papers.py`.
 [{EQUATIONS}]({EQUATIONS}) has the place in the code of every equation and table; figures not listed are drawings without data.
 "Only if": holds under that condition. "In part": holds for some forms. "Refuted": the opposite is shown. "Not reproduced": it does not come
-out, but the paper leaves enough open that it may have. `--literal NAME` takes an erratum as printed (`rotorwatch reproduce --help`).
+out, but the paper leaves enough open that it may have. `--literal NAME` takes an erratum as printed (`rotorwatch reproduce --help`). What
+to cite for each method: [CITATION.cff](../CITATION.cff).
 """
 
 

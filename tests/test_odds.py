@@ -8,6 +8,7 @@ from click.testing import CliRunner
 
 from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.errors import ConfigError
+from rotorwatch.flight.kinds import SUREST
 from rotorwatch.toolkit import odds
 from rotorwatch_lab.campaign import claims, odds_ablation, odds_fit, reliability
 from rotorwatch_lab.campaign.claims import Fault, Flown
@@ -115,24 +116,35 @@ def test_a_stuck_rotor_alone_has_no_size_and_stays_open():
     assert lost.decided(lost.weighed()) is odds.Decision.OPEN  # its size would be of an explanation that is not likely
 
 
+def test_odds_are_stated_weaker_than_they_decide_and_never_as_certain():
+    assert odds.stated(0.5) == pytest.approx(0.5 * (odds.LEAST + SUREST))
+    weaker = 9.0**odds.POWER
+    assert odds.stated(0.9) == pytest.approx(odds.LEAST + weaker / (1.0 + weaker) * (SUREST - odds.LEAST)) and 2.0 < weaker < 6.0
+    assert (odds.stated(0.0), odds.stated(1.0 + 1e-16)) == (odds.LEAST, pytest.approx(SUREST))
+
+
 def test_the_json_holds_what_decides():
     claim = a_claim([12.0, 11.0, 0.0, 3.0, 8.0, 1.0], alternatives=((1, 2),))
     table = claim.to_dict()
     again = odds.read(table, 4)
     assert again.weighed().claim == pytest.approx(claim.weighed().claim)
-    assert table["probability"] == pytest.approx(min(claim.weighed().claim, odds.SUREST))
+    found = claim.weighed()
+    assert table["probability"] == odds.stated(found.claim)
+    assert table["probability_none"] == pytest.approx(1.0 - odds.stated(1.0 - found.none))
     assert table["decision"] == again.decided(again.weighed()).value
     assert [r["nats"] for r in table["explanations"]] == [12.0, 11.0, 0.0, 3.0, 8.0, 1.0]
     assert table["explanations"][5]["weak"] == [2]
+    either = replace(claim, named=False, rotors=(2, 3))  # of any one of them
+    assert either.to_dict()["probability"] == odds.stated(either.weighed().others[1,])
 
 
-def drawn(count, weights, temper, seed=0):
+def drawn(count, weights, temper, seed=0, names=NAMES):
     """Flights of one claim each, whose true explanation is drawn with the probabilities of these constants."""
     rng, found = np.random.default_rng(seed), []
     for _ in range(count):
-        claim = a_claim(rng.normal(0.0, 6.0, len(NAMES)))
+        claim = a_claim(rng.normal(0.0, 6.0, len(names)), names)
         share = odds_fit.share(claim.logs(weights, temper))
-        row = claim.rows[rng.choice(len(NAMES), p=share)]
+        row = claim.rows[rng.choice(len(names), p=share)]
         found.append(flown([claim], [Fault(r + 1, "loss", 30.0, 30.0) for r in row.weak]))
     return found
 
@@ -191,11 +203,11 @@ def test_ablation_counts_what_changes():
 
 
 def test_reliability_is_read_from_both_statements():
-    honest = reliability.bins(drawn(3000, odds.WEIGHTS, odds.TEMPER))
+    two, weaker = (NAMES[0], NAMES[2]), {name: odds.POWER * w for name, w in odds.WEIGHTS.items()}
+    honest = reliability.bins(drawn(3000, weaker, odds.POWER * odds.TEMPER, names=two))  # as `stated` has it
     judged = [b for b in honest if b.judged and b.statement == "rotor"]
     assert len(judged) > 5 and all(abs(b.off) < 0.1 for b in judged)
-    assert sum(b.low <= b.stated <= b.high for b in judged) >= len(judged) - 1  # of 95 % intervals
-    boasts = reliability.bins(drawn(3000, odds.WEIGHTS, 0.1 * odds.TEMPER))
+    boasts = reliability.bins(drawn(3000, weaker, 0.1 * odds.POWER * odds.TEMPER, names=two))
     assert max(abs(b.off) for b in boasts if b.judged) > 0.2
     assert "rotor at fault" in reliability.markdown(honest) and reliability.to_dict(honest)[0]["right"]["n"] > 0
 

@@ -57,7 +57,10 @@ class MethodSeries:
         """The origin of its intervals, a sentence."""
         if self.factor is not None:
             own = "half-width of its own set" if self.says == SET else "interval of its own covariance"
-            return f"The 95 % interval is {self.factor:.3g} times the {own}, calibrated on simulated flights with losses (split conformal)."
+            return (
+                f"The 95 % interval is {self.factor:.3g} times the {own}, calibrated on simulated flights with losses: it holds in flights "
+                "like those (docs/estimate.md#calibrated-intervals)."
+            )
         if self.says == SET:
             return f"The bound is the half-width of {self.method}'s own set: it holds while noise keeps the bounds that the set assumes."
         return f"The 95 % interval is 1.96 standard deviations of {self.method}'s own covariance."

@@ -27,7 +27,7 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
 from rotorwatch.witnesses import pushes
-from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row
+from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row, stated
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 register(
@@ -289,7 +289,7 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
     if decision is Decision.DROPPED:
         view.warnings.append(_warning(event))
         return [], []
-    return ([], [_opened(event, found.claim)]) if decision is Decision.OPEN else ([_named(event, found)], [])
+    return ([], [_opened(event, stated(found.claim))]) if decision is Decision.OPEN else ([_named(event, found)], [])
 
 
 def _untold(view: View, event: Event) -> bool:

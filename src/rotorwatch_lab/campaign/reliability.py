@@ -104,7 +104,7 @@ def _rotors(flown: Sequence[Flown]) -> Iterator[tuple[float, bool]]:
             for i in range(flight.rotors):
                 if i in what.must or i not in what.may:
                     said = float(sum(p for p, who in zip(share, at_fault) if i in who))
-                    yield min(said, odds.SUREST), i in what.must
+                    yield odds.stated(said), i in what.must
 
 
 def to_dict(found: Sequence[Bin]) -> list[dict[str, Any]]:
