@@ -35,6 +35,14 @@ def test_a_list_with_everything(tmp_path):
     assert second == Labelled("b.bin", str(tmp_path / "b.bin"))
 
 
+@pytest.mark.parametrize("between", [";", "\t"])
+def test_a_list_of_a_spreadsheet_whose_numbers_have_a_comma(tmp_path, between):
+    cells = (["path", "rotor", "onset_s", "size"], ["a.bin", "1+4", "12,5", "0,2"], ["b.bin", "", "", ""])
+    path = tmp_path / "labels.csv"
+    path.write_text("".join(between.join(row) + "\n" for row in cells), encoding="utf-8-sig")
+    assert [flight.faults for flight in labels.read(path)] == [(Fault((1, 4), 12.5, 0.2),), ()]
+
+
 @pytest.mark.parametrize(
     ("lines", "says"),
     [

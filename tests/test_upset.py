@@ -97,6 +97,22 @@ def test_motion_that_shakes_acquits_no_rotor(shakes, cause):
     assert ("Not a rotor fault" in diagnosis.headline) is (cause == "controller")
 
 
+@pytest.mark.parametrize(("push", "cause"), [(0.0, "rotor"), (0.1, "rotor"), (0.8, "unknown")])
+def test_a_vehicle_pushed_up_as_it_turns_over_accuses_no_rotor(push, cause):
+    """A rotor that stops takes lift away: the ground, or a twig, pushes up by so many g for a few hundredths of a second."""
+    flight, truth = tumbling.fly("quad-x", "hover", 1, 50.0, 12.0, 8.0)
+    force = flight["accel"]
+    touches = (force.time > truth.begins_s) & (force.time < truth.begins_s + 0.08)
+    values = force.values - G0 * push * touches[:, None] * [0.0, 0.0, 1.0]
+    pushed = replace(flight, signals={**flight.signals, "accel": replace(force, values=values)})
+    (judged,) = find.judged(pushed, QUAD, airborne(pushed))
+    assert judged.cause == cause
+    if cause == "rotor":
+        assert judged.found[0].rotors[0] + 1 == truth.rotors[0]
+    else:
+        assert not judged.found and "pushed up" in judged.evidence[0]
+
+
 @pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("case", tumbling.STAYS)
 def test_no_loss_of_control_is_claimed(case):
@@ -154,6 +170,26 @@ def test_a_vehicle_on_a_stand_accuses_no_rotor(outputs, jitter, rate, lasts_s):
     diagnosis = diagnose(Flight("model", "ArduPilot", signals, 12.0, parameters=parameters), QUAD)
     assert diagnosis.verdict == "inconclusive"
     assert not of(diagnosis, "loss_of_effectiveness") and all(not e.rotors for e in of(diagnosis, "loss_of_control"))
+
+
+@pytest.mark.parametrize(("stops_s", "moves_s"), [(5.2, 0.0), (9.0, 8.5)], ids=["motors at idle", "moved afterwards"])
+def test_nothing_logged_of_the_rotors_as_control_was_lost_accuses_none(stops_s, moves_s):
+    """The attitude leaves its target between 6 and 7 s. Before it the motors stood still, or only after it anything moves."""
+    time = np.arange(0.0, 12.0, 0.02)
+    roll = np.interp(time, [6.0, 7.0], [0.0, 1.2])
+    q = np.column_stack([np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll])
+    turns = 2.0 * np.sin(8.0 * time) * (time > moves_s)
+    running = ((time > 1.0) & (time < stops_s))[:, None]
+    signals = {
+        "motors": Signal(time, np.where(running, [1500.0, 1350.0, 1400.0, 1400.0], 1000.0), tuple("1234"), "us"),
+        "gyro": Signal(time, np.column_stack([turns, turns, 0 * turns]), ("p", "q", "r"), "rad/s", "FRD"),
+        "accel": Signal(time, np.tile([0.0, 0.0, -G0], (time.size, 1)), ("x", "y", "z"), "m/s^2", "FRD"),
+        "attitude": Signal(time, q, tuple("wxyz"), "1", "FRD->NED"),
+        "attitude_wanted": Signal(time, np.tile([1.0, 0, 0, 0], (time.size, 1)), tuple("wxyz"), "1", "FRD->NED"),
+    }
+    flight = Flight("model", "ArduPilot", signals, 12.0, parameters={"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0})
+    (judged,) = find.judged(flight, QUAD, [(5.0 if moves_s else 1.0, 11.0)])
+    assert judged.cause == "unknown" and not judged.found
 
 
 def test_control_that_comes_back_at_once_was_not_lost():

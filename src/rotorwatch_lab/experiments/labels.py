@@ -29,6 +29,7 @@ from rotorwatch.base import files
 from rotorwatch.errors import ConfigError
 
 COLUMNS = ("path", "rotor", "onset_s", "size", "end_s", "vehicle", "baseline", "label_source")
+NUMBERS = ("onset_s", "size", "end_s")
 MOST = 100_000_000  # bytes of a list
 
 
@@ -72,7 +73,8 @@ def read(path: str | os.PathLike) -> list[Labelled]:
         raise ConfigError(f"{path}: no such file.") from None
     except (OSError, UnicodeDecodeError, ValueError):
         raise ConfigError(f"{path} is not a list of flights: give a CSV file with the columns {', '.join(COLUMNS)}.") from None
-    rows = csv.DictReader(io.StringIO(text, newline=""), restkey="", skipinitialspace=True)
+    apart = max(",;\t", key=text.partition("\n")[0].count)  # a spreadsheet where numbers have a comma puts ; between cells
+    rows = csv.DictReader(io.StringIO(text, newline=""), restkey="", skipinitialspace=True, delimiter=apart)
     names = [(name or "").strip() for name in rows.fieldnames or ()]
     if "path" not in names:
         raise ConfigError(f"{path} is not a list of flights: it has no column path; known columns are {', '.join(COLUMNS)}.")
@@ -98,6 +100,8 @@ def _numbered(rows: csv.DictReader) -> Iterable[tuple[str, Mapping[str, Any]]]:
     """(name for a sentence, row) of every row that is not empty."""
     for row in rows:
         if any(isinstance(v, str) and v.strip() for v in row.values()):
+            if rows.reader.dialect.delimiter != ",":
+                row |= {key: row[key].replace(",", ".") for key in NUMBERS if row.get(key)}
             yield f"line {rows.line_num}", row
 
 
@@ -137,7 +141,7 @@ def _joined(old: Labelled, new: Labelled, where: str) -> Labelled:
 
 def _fault(cell: Mapping[str, str], where: str) -> Fault | None:
     if not cell["rotor"]:
-        if extra := next((key for key in ("onset_s", "size", "end_s") if cell[key]), None):
+        if extra := next((key for key in NUMBERS if cell[key]), None):
             raise ConfigError(f"{where} has a value for {extra} but no rotor: name it, or leave both empty for a healthy flight.")
         return None
     rotors = re.split(r"\s*[+;]\s*|\s+", cell["rotor"])

@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.base.arrays import median
+from rotorwatch.base.physics import G0
 from rotorwatch.engine.events.decisions import CREDIBLE, SURE
+from rotorwatch.engine.intake.airborne import LEVER_M
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.knocks import LEAST_GAIN
 from rotorwatch.engine.motion.tick_table import Sensed
@@ -45,6 +47,9 @@ TURNED = 1.4  # as FITS, of torques: the rotors turned the vehicle as commanded
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion deviates from the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
+# Over which lift is averaged, and the time before that it is compared with [s]; g by which air changes it at most so soon, and multiple of
+# the vibration, as in engine/intake/contact.py.
+PUSH_S, STEADY_S, PUSHES, SHAKEN = 0.06, 0.5, 0.2, 2.5
 DISARMED_S = 1.0
 # m/s^2, standard deviation on one axis: beyond, ArduPilot's and PX4's guides call vibration a cause of failing estimates. A broken
 # propeller shakes a vehicle so, and the torques of a balance that is blurred by it fit everything.
@@ -132,6 +137,10 @@ def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) 
         cause, evidence = ("unknown", ("its rotor commands had been out of balance since take-off, compared with healthy vehicles",))
     if left.impact is None and ground is not None:
         left = left._replace(impact=ground, ground=ground if left.end is None else None)
+    if cause in ("rotor", "unknown") and not at_take_off:
+        rotor = next(e for e in found if e.kind == "rotor")
+        if pushed := _pushed_up(flight, window, rotor, onset):
+            return Judged(left, "unknown", (), np.empty(0), None, onset, (pushed,))
     return Judged(left, cause, found, probability, window, onset, evidence)
 
 
@@ -207,6 +216,30 @@ def _struck(window: Window, B: np.ndarray, onset: float) -> bool:
     return bool((beyond[near & window.torque_ok.all(axis=1)] > 0.0).any())
 
 
+def _pushed_up(flight: Flight, window: Window, rotor: Explanation, onset: float) -> str:
+    """What shows that the vehicle touched something as control was lost, else nothing: lift rose above what was commanded and what a rotor
+    stuck at its thrust adds. A rotor that fails takes lift away. rotor: the best explanation by a rotor."""
+    if not flight.has("accel"):
+        return ""
+    force = flight["accel"].wholes().between(onset - KNOCK_S - PUSH_S - STEADY_S, onset + PUSH_S)
+    time, lift = force.time, -force.values[:, 2] / G0
+    total, asked = np.append(0.0, np.cumsum(lift)), window.thrust.mean(axis=1)
+    most = np.maximum(np.maximum(window.thrust, window.before), window.after).mean(axis=1)
+    swings = LEVER_M / G0 * (np.abs(window.rate_dot).max(axis=1) + (window.rate**2).sum(axis=1))
+    for t in time[time > onset - KNOCK_S]:
+        a, b, c = np.searchsorted(time, [t - PUSH_S - STEADY_S, t - PUSH_S, t], side="right")
+        calm = (window.time > t - PUSH_S - STEADY_S) & (window.time <= t - PUSH_S)
+        near = np.abs(window.time - t) <= np.abs(window.time - t).min() + 1e-9
+        if b - a < LEAST_FORCES or c - b < 2 or not calm.any():
+            continue
+        rise = (total[c] - total[b]) / (c - b) - (total[b] - total[a]) / (b - a)
+        shakes = SHAKEN * float(lift[a:b].std()) / np.sqrt(c - b)
+        more = max(float(most[near].max() - asked[calm].mean()), 0.0) + max(rotor.gives - 1.0, 0.0) / window.thrust.shape[1]
+        if rise - more - max(shakes, float(swings[near].max())) > PUSHES:
+            return f"it was pushed up, by {rise:.1f} g more than before, as no failing rotor does"
+    return ""
+
+
 def _names(found, probability) -> str:
     who = [e.rotors[0] + 1 for e, p in zip(found, probability) if e.kind == "rotor" and p >= CREDIBLE]
     return "rotor " + " or ".join(str(r) for r in who)
@@ -280,7 +313,8 @@ def window_of(
     commanded = np.flatnonzero(seen.share[inside].max(axis=1, initial=0.0) > loss_of_control.REST)
     if commanded.size and not left.falls:  # with its motors stopped, the vehicle's motion shows nothing
         inside = inside[: commanded[-1] + 2]
-    if inside.size < 3:
+    shown = (seen.time[inside] > left.onset - EARLIER_S) & (seen.time[inside] < max(left.lost, left.onset + LATER_S))
+    if inside.size < 3 or not shown.any():  # motors at idle long before; or nothing moved but the estimate of the attitude
         return None
     T = seen.share / hover
     window = Window(
