@@ -56,7 +56,9 @@ def test_what_the_side_force_says_decides_between_a_push_and_a_loss():
     calm = flight(trim=moment)
     nats = []
     for ticks in (aside(calm, 0.0), calm, aside(calm, 2.0)):
-        rows = {(r.name, r.rotors): r.log_p for r in rivals.weigh(view(ticks), claim(2), ()).rows if not r.beside}
+        found = rivals.weigh(view(ticks), claim(2), ())
+        assert found is not None
+        rows = {(r.name, r.rotors): r.log_p for r in found.rows if not r.beside}
         nats.append(rows["push", ()] - rows["loss", (1,)])
     assert nats[0] < nats[1] - 1.0 and nats[2] > nats[1] + 2.0
 
@@ -64,6 +66,7 @@ def test_what_the_side_force_says_decides_between_a_push_and_a_loss():
 def test_a_brief_push_explains_a_loss_whose_end_nobody_has_seen():
     ticks = pushed(END_S, 0.3)
     found = rivals.weigh(view(aside(ticks, 2.0, END_S)), claim(2), ())
+    assert found is not None
     best = max((r for r in found.rows if not r.rotors), key=lambda r: r.log_p)
     assert best.name == rivals.PUSH.name + rivals.PASSED and found.weighed().none > 0.99
 
