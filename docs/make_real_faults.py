@@ -120,9 +120,10 @@ CAUSES = """
   than the motors, and the end seems larger than the loss.
 - The rotors switched off: 10 Hz of commands, and seconds of flight before it; where a healthy rotor is accused, two more were switched off.
 - A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty.
-- Prototypes (erlerobot/logs), ten alarms: three vehicles turn over out of a hover, two shake on a bench, one hits the ground, one sinks at
-  full throttle (ArduPilot's check names the same rotor); one reaches its limits, and one is turned hard from side to side. In the F450
-  one output is far above the others from take-off on.
+- Prototypes (erlerobot/logs), six alarms: one vehicle turns over out of a hover, as with a rotor stuck; two shake on a bench; one sinks at
+  full throttle (ArduPilot's check names the same rotor); one reaches its limits, and one is turned hard from side to side. Two more turn
+  over and one hits the ground: pushed up as it begins, or with motors long at idle, they accuse no rotor. In the F450 one output is far
+  above the others from take-off on.
 - Telemetry of outputs every half second (adaptive-IGE-ardupilot), and FPV flights without a calm second, end as `inconclusive`.
 """
 RULES = """
