@@ -29,22 +29,22 @@ def ticks_around(ticks, until=END_S + 8.0):
 
 @pytest.mark.parametrize(("size", "likely"), [(0.0, False), (0.1, False), (1.0, True), (2.5, True)])
 def test_a_push_is_a_step_of_the_side_force(size, likely):
-    found = pushes.shove(ticks_around(aside(flight(), size)), ONSET_S)
+    found = pushes.SideForce(ticks_around(aside(flight(), size))).shove(ONSET_S)
     assert found.size == pytest.approx(size, abs=0.25) and 0.01 < found.usual < 0.2
     assert (found.log_odds > 2.0) if likely else (found.log_odds < -1.0)
     assert found.lift == pytest.approx((found.size / G0) ** 2)
 
 
 def test_without_a_side_force_nothing_is_said():
-    where = ticks_around(flight())
-    assert pushes.shove(where, ONSET_S) == pushes.Shove() and pushes.Shove().log_odds == 0.0
-    assert pushes.end_s(where) == np.inf
+    side = pushes.SideForce(ticks_around(flight()))
+    assert side.shove(ONSET_S) == pushes.Shove() and pushes.Shove().log_odds == 0.0
+    assert side.end_s() == np.inf
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.8])
 def test_the_end_of_a_push_is_the_step_back(rate):
     ticks = replace(flight(), rate=np.outer(np.ones(len(flight().time)), [0.0, 0.0, rate]))
-    assert pushes.end_s(ticks_around(aside(ticks, 2.0, END_S))) == pytest.approx(END_S - pushes.NEAR_S, abs=0.15)
+    assert pushes.SideForce(ticks_around(aside(ticks, 2.0, END_S))).end_s() == pytest.approx(END_S - pushes.NEAR_S, abs=0.15)
 
 
 def test_what_the_side_force_says_decides_between_a_push_and_a_loss():
@@ -71,16 +71,41 @@ def test_a_brief_push_explains_a_loss_whose_end_nobody_has_seen():
     assert best.name == rivals.PUSH.name + rivals.PASSED and found.weighed().none > 0.99
 
 
-def test_a_push_takes_thrust_and_its_drag_is_not_the_rotors():
-    """The vehicle leans into a push, which then also pulls down; and the yaw by the rotors' drag does not grow with it."""
-    lift, force = 0.3, 2.0
+def test_a_push_takes_thrust():
+    """The vehicle leans into a push, which then also pulls down."""
+    lift = 0.3
 
     def taken(time):
         return np.outer(time > ONSET_S, [0.4, 0.0, 0.0, lift])
 
-    where = ticks_around(aside(flight(trim=taken), force), ONSET_S + 15.0)
-    with_, without = (compare(where, [Explanation(push=0.5, step=0.1, lift=x)])[0] for x in (lift, 0.0))
+    where = ticks_around(aside(flight(trim=taken), 2.0), ONSET_S + 15.0)
+    _, with_, without = compare(where, [Explanation(), *(Explanation(push=0.5, step=0.1, lift=x) for x in (lift, 0.0))])
     assert with_.log_p > without.log_p + 3.0
+
+
+def test_the_force_of_a_push_does_not_drag_at_the_rotors():
+    """With unequal thrusts a side force of the air yaws the vehicle by their drag; that of a push does not, and nothing is commanded."""
+    ticks = flight(trim=lambda time: np.outer(np.ones_like(time), [1.2, 0.0, 0.0, 0.0]))
+    nothing, push = compare(ticks_around(aside(ticks, 2.5)), [Explanation(), Explanation(push=0.5)])
+    assert push.square[2] < 0.2 * nothing.square[2]
+
+
+def test_the_side_force_speaks_of_pushes_that_begin_at_once():
+    """At the begin, and where the change is over with the push, at the end; not of what grows, or of no push."""
+    where = ticks_around(flight())
+    begins, ends = pushes.Shove(2.0, 0.1), pushes.Shove(1.0, 0.1)
+    grows = next(r for r in rivals.ELSE if r.how.swells)
+    them = [rivals.Rival("nothing", Explanation()), rivals.PUSH, rivals.PUSH._replace(how=rivals.PUSH.how._replace(end_s=END_S)), grows]
+    lift = 4.0 * begins.lift
+    fits = compare(where, [r.how._replace(lift=lift if r.how.push else 0.0) for r in them])
+    told = rivals._fitted(where, them, END_S, (begins, ends))
+    more = [a.log_p - b.log_p for a, b in zip(told, fits, strict=True)]
+    assert more == pytest.approx([0.0, begins.log_odds, begins.log_odds + ends.log_odds, 0.0], abs=1e-9)
+
+
+def test_losses_that_follow_each_other_at_once_are_compared():
+    ticks, both = flight(), [claim(2), claim(3, onset=ONSET_S + 2.0)]
+    assert all(rivals.weigh(view(ticks), one, both) is not None for one in both)
 
 
 def test_a_push_that_is_over_leaves_the_trim_as_it_is():

@@ -7,10 +7,13 @@ it also pulls down along the thrust axis, by F^2 / (m g): rotors have to give th
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.bindings.explaining import Span
 
@@ -45,33 +48,45 @@ class Shove(NamedTuple):
         return (self.size / G0) ** 2
 
 
-def _steps(where: Span) -> np.ndarray:
-    """(T, 2) steps of the side force in axes that do not turn with the vehicle [m/s^2]; none where it is not measured."""
-    ticks = where.ticks
-    apart = round(MEAN_S / ticks.dt)
-    if ticks.side is None or len(ticks.time) <= apart:
-        return np.zeros((0, 2))
-    turn = np.cumsum(np.where(np.isfinite(ticks.rate[:, 2]), ticks.rate[:, 2], 0.0))[:-apart] * ticks.dt
-    ahead, right = (ticks.side[apart:] - ticks.side[:-apart]).T
-    return np.stack([ahead * np.cos(turn) - right * np.sin(turn), ahead * np.sin(turn) + right * np.cos(turn)], axis=1)
+@dataclass(frozen=True, eq=False)
+class SideForce:
+    """The side force about a change."""
 
+    where: Span
 
-def shove(where: Span, at_s: float) -> Shove:
-    """The step of the side force at a time."""
-    steps, dt = np.hypot(*_steps(where).T), where.ticks.dt
-    at, near = int(np.searchsorted(where.ticks.command_time, at_s)), round(NEAR_S / dt)
-    usual, close = steps[: max(where.onset - round(MEAN_S / dt), 0)], steps[max(at - near, 0) : at + near + 1]
-    if not usual.size or not close.size:
-        return Shove()
-    return Shove(float(close.max()), math.hypot(np.sqrt(np.median(usual**2) / (2.0 * math.log(2.0))), LEAST))
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """(T, 2) its steps in axes that do not turn with the vehicle [m/s^2]; none where it is not measured."""
+        ticks = self.where.ticks
+        apart = round(MEAN_S / ticks.dt)
+        if ticks.side is None or len(ticks.time) <= apart:
+            return np.zeros((0, 2))
+        turn = np.cumsum(np.where(np.isfinite(ticks.rate[:, 2]), ticks.rate[:, 2], 0.0))[:-apart] * ticks.dt
+        ahead, right = (ticks.side[apart:] - ticks.side[:-apart]).T
+        return np.stack([ahead * np.cos(turn) - right * np.sin(turn), ahead * np.sin(turn) + right * np.cos(turn)], axis=1)
 
+    @cached_property
+    def sizes(self) -> np.ndarray:
+        """(T,) their lengths [m/s^2]."""
+        return np.hypot(*self.steps.T)
 
-def end_s(where: Span) -> float:
-    """Time from which on a push may have ended: that of the largest step back of the side force after the onset, less NEAR_S [s]."""
-    steps, first = _steps(where), where.onset + round(LATER_S / where.ticks.dt)
-    if len(steps) <= first:
-        return np.inf
-    near = round(NEAR_S / where.ticks.dt)
-    close = steps[max(where.onset - near, 0) : where.onset + near + 1]
-    back = steps[first:] @ close[np.argmax(np.hypot(*close.T))]
-    return float(where.ticks.command_time[first + int(np.argmin(back))]) - NEAR_S
+    def _near(self, at: int) -> slice:
+        near = round(NEAR_S / self.where.ticks.dt)
+        return slice(max(at - near, 0), at + near + 1)
+
+    def shove(self, at_s: float) -> Shove:
+        """The step at a time."""
+        ticks = self.where.ticks
+        close = self.sizes[self._near(int(np.searchsorted(ticks.command_time, at_s)))]
+        usual = self.sizes[: max(self.where.onset - round(MEAN_S / ticks.dt), 0)]
+        if not usual.size or not close.size:
+            return Shove()
+        return Shove(float(close.max()), math.hypot(np.sqrt(median(usual**2) / (2.0 * math.log(2.0))), LEAST))
+
+    def end_s(self) -> float:
+        """Time from which on a push may have ended: that of the largest step back after the onset, less NEAR_S [s]."""
+        first, near = self.where.onset + round(LATER_S / self.where.ticks.dt), self._near(self.where.onset)
+        if len(self.steps) <= first:
+            return np.inf
+        back = self.steps[first:] @ self.steps[near][np.argmax(self.sizes[near])]
+        return float(self.where.ticks.command_time[first + int(np.argmin(back))]) - NEAR_S

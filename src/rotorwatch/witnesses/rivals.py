@@ -120,12 +120,14 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
     if where is None:
         return None
     cap = quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAP) if claim else 0.0
-    pushed_s = end_s if end_s < np.inf else pushes.end_s(where)
+    side = pushes.SideForce(where)
+    shoves = side.shove(float(where.ticks.command_time[where.onset])), side.shove(end_s)
+    pushed_s = end_s if end_s < np.inf else side.end_s()
     where = replace(where, ends=(end_s, pushed_s))
     them = rivals(view.B.shape[1], claim, end_s, pushed_s, cap)
     also = [tuple(r - 1 for r in who) for who in event.alternatives] if named else []
     them += [Rival("loss", Explanation(who, end_s)) for who in also if len(who) > 1]
-    fits, said = _fitted(where, them, end_s), tuple(map(float, view.said(event.onset_s)))
+    fits, said = _fitted(where, them, end_s, shoves), tuple(map(float, view.said(event.onset_s)))
 
     def compared() -> Comparison:
         return Comparison(
@@ -135,14 +137,15 @@ def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True)
 
     if claim:
         more = beside(view.B.shape[1], claim, end_s, them, compared().logs())
-        fits += _fitted(where, [them[0], *more], end_s)[1:]
+        fits += _fitted(where, [them[0], *more], end_s, shoves)[1:]
         them += more
     return compared()
 
 
-def _fitted(where: Span, them: Sequence[Rival], end_s: float) -> list[Fit]:
-    """The fit of each explanation, with what the side force says of a push that begins, or ends with the change at end_s."""
-    begins, ends = (pushes.shove(where, t) for t in (where.ticks.command_time[where.onset], end_s))
+def _fitted(where: Span, them: Sequence[Rival], end_s: float, shoves: tuple[pushes.Shove, pushes.Shove]) -> list[Fit]:
+    """The fit of each explanation, with what the side force says of a push that begins, or ends with the change at end_s. shoves: its
+    steps then."""
+    begins, ends = shoves
     lift = where.B.shape[1] * begins.lift
     fits = compare(where, [r.how._replace(lift=lift) if r.how.push else r.how for r in them])
     both = begins.log_odds + ends.log_odds

@@ -11,6 +11,7 @@ import numpy as np
 from rotorwatch.base.arrays import median
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.events.decisions import CREDIBLE, SURE
+from rotorwatch.engine.intake import contact
 from rotorwatch.engine.intake.airborne import LEVER_M
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.knocks import LEAST_GAIN
@@ -47,9 +48,9 @@ TURNED = 1.4  # as FITS, of torques: the rotors turned the vehicle as commanded
 STRAYS, STRAYS_THRUST = 3.0, 1.5  # standard deviations of torque and of thrust: the motion deviates from the commands
 JOINS_S = 0.5  # a departure that began earlier in the residuals is the same
 KNOCK_S = 0.3
-# Over which lift is averaged, and the time before that it is compared with [s]; g by which air changes it at most so soon, and multiple of
-# the vibration, as in engine/intake/contact.py.
-PUSH_S, STEADY_S, PUSHES, SHAKEN = 0.06, 0.5, 0.2, 2.5
+# Over which lift is averaged, and the time before that it is compared with [s]; g by which air changes it at most so soon, as
+# engine/intake/contact.py says.
+PUSH_S, STEADY_S, PUSHES = 0.06, 0.5, 0.2
 DISARMED_S = 1.0
 # m/s^2, standard deviation on one axis: beyond, ArduPilot's and PX4's guides call vibration a cause of failing estimates. A broken
 # propeller shakes a vehicle so, and the torques of a balance that is blurred by it fit everything.
@@ -233,7 +234,7 @@ def _pushed_up(flight: Flight, window: Window, rotor: Explanation, onset: float)
         if b - a < LEAST_FORCES or c - b < 2 or not calm.any():
             continue
         rise = (total[c] - total[b]) / (c - b) - (total[b] - total[a]) / (b - a)
-        shakes = SHAKEN * float(lift[a:b].std()) / np.sqrt(c - b)
+        shakes = contact.SHAKES * float(lift[a:b].std()) / np.sqrt(c - b)
         more = max(float(most[near].max() - asked[calm].mean()), 0.0) + max(rotor.gives - 1.0, 0.0) / window.thrust.shape[1]
         if rise - more - max(shakes, float(swings[near].max())) > PUSHES:
             return f"it was pushed up, by {rise:.1f} g more than before, as no failing rotor does"
