@@ -41,6 +41,13 @@ def test_without_a_side_force_nothing_is_said():
     assert side.end_s() == np.inf
 
 
+def test_ticks_slower_than_the_mean_have_steps_too():
+    where = ticks_around(aside(flight(), 2.0))
+    slow = where.ticks.part(np.arange(0, len(where.ticks.time), 25))
+    side = pushes.SideForce(replace(where, ticks=replace(slow, dt=25 * DT), onset=where.onset // 25))
+    assert len(side.steps) == len(slow.time) - 1 and side.shove(ONSET_S).size > 1.5 and np.isfinite(side.end_s())
+
+
 @pytest.mark.parametrize("rate", [0.0, 0.8])
 def test_the_end_of_a_push_is_the_step_back(rate):
     ticks = replace(flight(), rate=np.outer(np.ones(len(flight().time)), [0.0, 0.0, rate]))

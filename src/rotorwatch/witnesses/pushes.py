@@ -54,11 +54,15 @@ class SideForce:
 
     where: Span
 
+    @property
+    def apart(self) -> int:
+        """Ticks from one mean to the next."""
+        return max(round(MEAN_S / self.where.ticks.dt), 1)
+
     @cached_property
     def steps(self) -> np.ndarray:
         """(T, 2) its steps in axes that do not turn with the vehicle [m/s^2]; none where it is not measured."""
-        ticks = self.where.ticks
-        apart = round(MEAN_S / ticks.dt)
+        ticks, apart = self.where.ticks, self.apart
         if ticks.side is None or len(ticks.time) <= apart:
             return np.zeros((0, 2))
         turn = np.cumsum(np.where(np.isfinite(ticks.rate[:, 2]), ticks.rate[:, 2], 0.0))[:-apart] * ticks.dt
@@ -76,9 +80,8 @@ class SideForce:
 
     def shove(self, at_s: float) -> Shove:
         """The step at a time."""
-        ticks = self.where.ticks
-        close = self.sizes[self._near(int(np.searchsorted(ticks.command_time, at_s)))]
-        usual = self.sizes[: max(self.where.onset - round(MEAN_S / ticks.dt), 0)]
+        close = self.sizes[self._near(int(np.searchsorted(self.where.ticks.command_time, at_s)))]
+        usual = self.sizes[: max(self.where.onset - self.apart, 0)]
         if not usual.size or not close.size:
             return Shove()
         return Shove(float(close.max()), math.hypot(np.sqrt(median(usual**2) / (2.0 * math.log(2.0))), LEAST))
