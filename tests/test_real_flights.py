@@ -13,7 +13,7 @@ import tomllib
 from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Signal, vehicle_file
 from rotorwatch_lab.experiments import evaluate, real_flights
-from rotorwatch_lab.experiments.real_flights import crazypad, neural_fly, openha, others, rrc, rules, tables
+from rotorwatch_lab.experiments.real_flights import crazypad, degraded_control, neural_fly, openha, others, rrc, rules, tables
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "src" / "rotorwatch" / "samples"
@@ -67,6 +67,21 @@ def test_openhas_losses_count_from_the_first_row(tmp_path):
     flight = logs.read(first["path"])
     assert len(flight["motors"]) == 59 and flight["motors"].values[0] == pytest.approx([0.5, 0.6, 0.7, 0.8])
     assert flight["gyro"].values[0] == pytest.approx([0.1, 0.2, 0.3]) and flight["position"].values[0] == pytest.approx([1.0, 2.0, -3.0])
+
+
+@pytest.mark.parametrize(
+    "changed, loe, ch7, told",
+    [
+        (False, [1.0, 0.48, 0.0, 0.0], [1094, 1094, 1094, 1514], [("1", 10.0, None), ("2", 30.0, None)]),
+        (False, [1.0, 0.0, 0.0, 0.48], [1934, 1934, 1934, 1934], [("1+4", 10.0, None)]),
+        (True, [1.0, 0.48, 0.0, 0.0], [1094, 1094, 1094, 1514], [("1", 10.0, None), ("4", 20.0, 30.0), ("2", 30.0, None)]),
+        (True, [1.0, 0.48, 0.0, 1.0], [1934, 1934, 1934, 1934], [("1", 10.0, 30.0), ("4+2", 20.0, 30.0)]),
+        (True, [1.0, 1.0, 1.0, 1.0], [1934, 1934, 1934, 1934], []),
+    ],
+)
+def test_rotors_switched_off_follow_the_switches(changed, loe, ch7, told):
+    found = degraded_control.faults(np.arange(4) * 10.0, np.array(loe), np.array(ch7), changed)
+    assert [(f["rotor"], f["onset_s"], f["end_s"]) for f in found] == told
 
 
 def test_labels_by_folder_names(tmp_path):
