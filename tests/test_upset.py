@@ -395,6 +395,16 @@ def test_swapped_outputs_that_look_alike_are_named_as_candidates():
     assert order.alternatives == lost.alternatives == ((3, 4),)
 
 
+@pytest.mark.parametrize("misfit, cause, accused", [(1.0, "unknown", True), (2.0, "unknown", False), (2.0, "rotor", True)])
+def test_a_rotor_that_leaves_motion_unexplained_is_a_candidate_and_not_accused(misfit, cause, accused):
+    left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
+    best = Explanation("rotor", (3,), 0.0, 5.0, 1.0, 0.9, 1.0, np.full((3, 4), misfit), 1.1)
+    judged = find.Judged(left, cause, (best,), np.ones(1), None, 5.0, ())
+    *losses, lost = falls.events([judged], (), 4)
+    assert [e.rotors for e in losses] == ([(4,)] if accused else [])
+    assert lost.rotors == ((4,) if accused else ()) and (accused or lost.alternatives == ((4,),))
+
+
 def test_what_left_control_after_a_blow_was_knocked():
     left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
     judged = find.Judged(left, "unknown", (), np.empty(0), None, 5.0, ())

@@ -100,7 +100,9 @@ def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
     whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
     others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
     rotor_probability = sum(p for _, p in rotors)
-    accused = (judged.cause == "rotor" and bool(rotors)) or (judged.cause == "unknown" and rotor_probability > 1.0 - SURE)
+    # An explanation that is likelier than others and leaves motion that it does not explain accuses no rotor.
+    doubted = judged.cause == "unknown" and rotor_probability > 1.0 - SURE and bool(rotors) and rotors[0][0].fits
+    accused = (judged.cause == "rotor" and bool(rotors)) or doubted
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     # Announcements before the departure stay, unless the departure shows another rotor.
     stands = -np.inf if accused or judged.cause == ORDER else left.onset

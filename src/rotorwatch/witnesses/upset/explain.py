@@ -14,6 +14,7 @@ import numpy as np
 
 from rotorwatch.engine.estimator.hypotheses import STUCK_WEIGHT
 from rotorwatch.engine.events.losses import WITHIN_95
+from rotorwatch.engine.spin.rotors_off import FITS
 from rotorwatch.witnesses.upset.balance import Fit, Offset, Window, delivered, fit
 
 SIZES = np.array([0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
@@ -43,6 +44,11 @@ class Explanation(NamedTuple):
     high: float
     residual: np.ndarray
     gives: float = 0.0
+
+    @property
+    def fits(self) -> bool:
+        """True if what it leaves of the torques is noise."""
+        return bool((np.sqrt((self.residual[:, :3] ** 2).mean(axis=0)) < FITS).all())
 
 
 def explain(

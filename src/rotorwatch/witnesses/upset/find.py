@@ -16,7 +16,6 @@ from rotorwatch.engine.intake.airborne import LEVER_M
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.knocks import LEAST_GAIN
 from rotorwatch.engine.motion.tick_table import Sensed
-from rotorwatch.engine.spin.rotors_off import FITS
 from rotorwatch.flight import Flight
 from rotorwatch.flight.kinds import ORDER
 from rotorwatch.flight.vehicle import Vehicle
@@ -164,15 +163,13 @@ def _cause(
         says = f", and the autopilot says disarmed{f' ({by})' if by else ''}" if disarmed else ""
         return "disarmed", (f"all outputs went to idle in flight{says}",)
     best, p = found[0], float(probability[0])
-    rms = np.sqrt((best.residual[:, :3] ** 2).mean(axis=0))
-    fits = bool((rms < FITS).all())
     rotor = sum(float(q) for e, q in zip(found, probability) if e.kind == "rotor")
     struck = _struck(window, vehicle.effectiveness(), onset)
-    if rotor > SURE and fits and not struck:
+    if rotor > SURE and best.fits and not struck:
         without = f"stuck at {best.gives:.1f} times hover thrust" if best.gives else "without thrust"
         return "rotor", (f"the motion matches {_names(found, probability)} {without}",)
     order = sum(float(q) for e, q in zip(found, probability) if e.kind in ("order", "yaw"))
-    if best.kind in ("order", "yaw") and order > SURE and fits:
+    if best.kind in ("order", "yaw") and order > SURE and best.fits:
         return ORDER, ("the first movement opposed the commands",)
     blow = left.impact is not None and left.impact - onset <= HIT_S and not loss_of_control.low(flight, onset, start)
     if struck or blow:
@@ -189,7 +186,7 @@ def _cause(
     turned = left.onset - start > FIRST_S and torque.size > 0 and bool((np.sqrt((torque**2).mean(axis=0)) < TURNED).all())
     # Air may have taken the thrust, too: without that explanation, the torques must not implicate a rotor either.
     nobody = best.kind == "common" and rotor < (1.0 - SURE) * float(probability[1:].sum())
-    if (best.kind == "healthy" and p > SURE and fits and turned) or (nobody and turned and _level(flight, left, onset)):
+    if (best.kind == "healthy" and p > SURE and best.fits and turned) or (nobody and turned and _level(flight, left, onset)):
         if _shaken(flight, onset):
             return "unknown", ("vibration was too strong for the motion to show what the rotors did",)
         return "controller", (
