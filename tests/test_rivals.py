@@ -102,6 +102,15 @@ def test_what_the_motion_denies_is_no_event(trim):
     assert len(warnings) == 1 and "rotor 2" in warnings[0] and "25.0 s" in warnings[0]
 
 
+@pytest.mark.parametrize(("seconds", "loss"), [(1.0, 0.0), (5.0, 0.0), (1.0, 0.3), (5.0, 0.3)])
+def test_thrust_that_all_rotors_lack_alike_accuses_none_and_hides_no_loss(seconds, loss):
+    """A battery that sags, and rotor 2 that fails as it does, or not."""
+    ticks = flight(loss, 1)
+    thrust = ticks.thrust / (1.0 - 0.45 * ramp(ticks.time, ONSET_S, ONSET_S + seconds))[:, None]
+    kept, open_, _ = heard(replace(ticks, thrust=thrust, wrench=thrust @ QUAD.T), [claim(2)])
+    assert [e.rotors for e in kept] == ([(2,)] if loss else []) and not open_
+
+
 def pushed(end=np.inf, rate=0.8):
     """Ticks of a healthy quadrotor that turns by `rate` rad/s, pushed from ONSET_S to end by a force to the north above its centre."""
 

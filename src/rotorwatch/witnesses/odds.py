@@ -28,7 +28,7 @@ from rotorwatch.flight.kinds import SUREST
 # which have both their weights, "pushed" where a push is one of them, and "claimed" where the rotors are those of an announced loss.
 WEIGHTS: dict[str, float] = {
     "loss": 0.0, "growing": 0.4, "stuck": 0.6, "capped": -3.2, "slow": -3.5, "turned": -2.8,
-    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -4.0, "move": -0.5, "wrench": 0.5,
+    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -4.0, "move": -0.5, "wrench": 0.5, "common": -6.0,
     "beside": -4.0, "pushed": -2.0, "claimed": 1.0,
 }  # fmt: skip
 TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
@@ -214,7 +214,7 @@ class Comparison:
         if found.claim < 1.0 - clear:  # another rotor, or none in particular
             return Decision.OPEN if max(found.others.values(), default=0.0) > 0.5 else Decision.DROPPED
         unsure = found.none > 1.0 - clear or (found.claim < clear and not found.near(limits))
-        return Decision.OPEN if unsure and not self.alternatives else Decision.LOSS
+        return Decision.OPEN if unsure else Decision.LOSS
 
     def _settled(self, found: Weighed, limits: Limits) -> Decision:
         who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))

@@ -60,6 +60,7 @@ ELSE = (
     Rival("shift", Explanation(step=1.0, load=1.0)),
     *(Rival(f"move 0.04, lever {lever:g}", Explanation(drift=0.04, lever=lever, load=1.0)) for lever in (0.0, 14.0)),
     Rival("wrench 3", Explanation(step=1.0, force=3.0)),
+    Rival("common", Explanation(common=0.3, swells=0.07)),
 )  # fmt: skip
 PASSED = " passes"  # of a push that is over
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
@@ -311,9 +312,10 @@ def _total(event: Event) -> bool:
 
 
 def _opened(event: Event, probability: float) -> Event:
-    """A loss as an open claim."""
+    """A loss as an open claim, of all of its suspects."""
     until = event.detected_s if event.end_s is None else max(event.end_s, event.onset_s)
-    return unexplained_evidence.claim(event.rotors, event.onset_s, until, event.interval, probability)
+    interval = () if event.alternatives else event.interval
+    return unexplained_evidence.claim(tuple(sorted(event.suspects)), event.onset_s, until, interval, probability)
 
 
 def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Event], list[Event]]:
