@@ -2,17 +2,21 @@
 
 import ctypes
 import gc
+import importlib
 import importlib.util
 import mmap
 import os
 import shutil
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
-# Each core runs tests already: a second thread for small matrices only waits. Before NumPy is imported.
+# Each core runs tests already: a second thread for small matrices only waits, and makes JAX's programs a quarter dearer (NPROC is the number
+# of XLA's threads). Before NumPy and JAX are imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("NPROC", "1")
 
 import numpy as np
 import pytest
@@ -29,7 +33,7 @@ from rotorwatch_lab.compiling import native
 # Besides what everyone has, there stays where Python, compilers and temporary files are, and what says how the tests themselves are run.
 EVERYONE = "HOME PATH LANG TMPDIR SYSTEMROOT TEMP TMP USERPROFILE LOCALAPPDATA".split()
 OF_TESTS = ("PYTHONPATH", "PYTHONDONTWRITEBYTECODE", "ROTORWATCH_CACHE", "ROTORWATCH_FULL_LAW", "CI", "XLA_FLAGS", "OPENBLAS_NUM_THREADS")
-for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS) and not n.startswith(("PYTEST_", "PIP_"))]:
+for _name in [n for n in os.environ if n not in (*EVERYONE, *OF_TESTS, "NPROC") and not n.startswith(("PYTEST_", "PIP_"))]:
     del os.environ[_name]
 
 
@@ -70,6 +74,17 @@ running.Definition.build = _quickly_built
 
 # JAX's tracing makes so many small objects that looking for cycles among all of them takes a third of its time.
 gc.set_threshold(50_000, 20, 50)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session):
+    """Of two workers that have the whole suite before them one loads the tests from the last to the first: each finds half of what Python and
+    pytest make of the sources on the disk, compiled by the other."""
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if worker.endswith(("1", "3", "5", "7", "9")) and list(session.config.args) == session.config.getini("testpaths"):
+        for path in sorted(Path(__file__).parent.glob("test_*.py"), reverse=True):
+            with suppress(Exception, pytest.skip.Exception):  # collection comes to it once more, and tells
+                importlib.import_module(path.stem)
 
 
 def pytest_collection_finish():

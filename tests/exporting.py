@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 
 from rotorwatch.base.backend import jax as load_jax
-from rotorwatch_lab.export_c import prepare, program_of
+from rotorwatch_lab.export_c import USUAL, prepare, program_of
 
 jax = load_jax()
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
@@ -16,8 +16,9 @@ FLOAT = {"f": np.float32, "i": np.int32, "l": np.int64, "b": np.bool_}
 
 @functools.cache
 def estimator(name):
-    """An estimator as it is exported by default."""
-    return prepare(name)
+    """An estimator as it is exported by default; NAME-on-rates: on the plant that most have, whose program is smaller than a helicopter's."""
+    method, _, rates = name.partition("-on-")
+    return prepare(method, USUAL[1] if rates else None)
 
 
 def measurements(method, rows, seed=0):

@@ -5,8 +5,6 @@ import os
 import time
 from pathlib import Path
 
-from rotorwatch.fleet.store import Entry
-
 
 def endless(what):
     while True:
@@ -19,6 +17,8 @@ def greedy(what):
 
 def while_full(what):
     """Judges at once, but for a page that cannot be written while there is a file `full` in its folder."""
+    from rotorwatch.fleet.store import Entry
+
     log, page = what
     if (Path(page).parent / "full").exists():
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), page)
@@ -27,6 +27,8 @@ def while_full(what):
 
 def dies_once(what):
     """The process is gone the first time that a page of that name is asked for."""
+    from rotorwatch.fleet.store import Entry
+
     log, page = what
     if not Path(page).exists():
         Path(page).touch()

@@ -160,7 +160,8 @@ def tricky(z):
     return jnp.concatenate([mixed, jnp.sqrt(4.0 + jnp.clip(z, -0.1, 0.3)), jnp.tanh(z @ np.ones((3, 2)))])
 
 
-@pytest.mark.parametrize(("seed", "size"), [(0, 0.02), (1, 0.2), (2, 0.6)])
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize(("seed", "size"), [(2, 0.6), (0, 0.02), (1, 0.2)])
 def test_taylor_models_hold_what_a_function_does_over_an_ellipsoid(seed, size):
     rng = np.random.default_rng(seed)
     a, P = 0.2 * rng.standard_normal(3), size**2 * spd(rng, 3)
@@ -328,6 +329,7 @@ def test_a_jammed_actuator_does_not_follow():
         np.testing.assert_allclose(out, [0.5, 0.15, 0.5, 0.5])
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("kind", [AESMF, AUKF, AEKF])
 def test_gaps_do_no_harm(kind):
     plant = small_systems.Pendulum()  # a set-membership filter of the helicopter takes half a minute to compile

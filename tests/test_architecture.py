@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from rotorwatch.base import discovery
+from source_imports import imports
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src"
@@ -170,20 +171,11 @@ def test_a_room_that_lists_its_files_lists_all(room):
     assert not said or said == there
 
 
-def imports(path):
-    """(line, name) of everything that a file imports, wherever it does and whatever for."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from ((node.lineno, alias.name) for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((node.lineno, f"{node.module}.{alias.name}") for alias in node.names)
-
-
 def test_the_laboratory_imports_public_modules_alone():
     """Also for types, which import-linter leaves out. One definition is compiled with the estimator's, which it extends."""
     found, extends = [], SOURCE / "rotorwatch_lab" / "experiments" / "known_losses.py"
     for path in (SOURCE / "rotorwatch_lab").rglob("*.py"):
-        for line, name in imports(path):
+        for line, _, name in imports(path):
             top, *rest = name.split(".")
             own = path == extends and rest[:2] == ["engine", "estimator"]
             if top == "rotorwatch" and rest[:1] != ["__version__"] and rest[0] not in PUBLIC and not own:
@@ -194,9 +186,9 @@ def test_the_laboratory_imports_public_modules_alone():
 def test_the_product_names_the_laboratory_only_for_types():
     """Those of `rotorwatch.NAME` that our own entry points offer."""
     files = [path for path in (SOURCE / "rotorwatch").rglob("*.py") if path != SOURCE / "rotorwatch" / "__init__.py"]
-    assert [f"{path}:{line}" for path in files for line, name in imports(path) if name.startswith("rotorwatch_lab")] == []
+    assert [f"{path}:{line}" for path in files for line, _, name in imports(path) if name.startswith("rotorwatch_lab")] == []
     offered = {name for name in discovery.offered("rotorwatch.api")}
-    typed = {name.rpartition(".")[2] for _, name in imports(SOURCE / "rotorwatch" / "__init__.py") if "_lab." in name}
+    typed = {name.rpartition(".")[2] for _, _, name in imports(SOURCE / "rotorwatch" / "__init__.py") if "_lab." in name}
     assert typed < offered
 
 

@@ -75,10 +75,10 @@ def test_the_unbalance_of_each_rotor_is_measured_below_and_above_half_the_sampli
     assert found.channel.unit == "g mm/kg"
 
 
-def test_intervals_hold_the_truth_in_nineteen_of_twenty():
+def test_intervals_hold_the_truth_in_nineteen_of_twenty(amount):
     true = np.array([0.8, 0.4, 1.2, 0.2])
     inside = []
-    for seed in range(40):
+    for seed in range(amount(15, 40)):
         for f, u in zip(heard(flown(true, duration=12.0, noise=2.0, seed=seed)).figures, true, strict=True):
             inside.append(f.low <= u <= f.high)
     assert np.mean(inside) > 0.9
@@ -506,6 +506,7 @@ def test_a_sensor_that_is_faster_than_needed_is_thinned():
     assert raw_sensors.build("raw_gyro", time[::800], np.zeros((len(time[::800]), 3)), "sensor_gyro") is None
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("autopilot", "name"), [("ardupilot", "x.bin"), ("px4", "x.ulg")])
 def test_a_simulated_flight_in_which_an_imbalance_grew(autopilot, name, tmp_path):
     plan = scenario.from_table(

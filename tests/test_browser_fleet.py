@@ -10,7 +10,8 @@ from rotorwatch.fleet import Entry, Store, assess, fleet_pages
 NAME = "CubeOrangePlusWithALongNameOfAnAircraft-3334"
 
 
-@pytest.mark.parametrize("looks", [{}, {"is_mobile": True, "has_touch": True}], ids=["narrow", "phone"])
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize("looks", [{"is_mobile": True, "has_touch": True}, {}], ids=["phone", "narrow"])
 def test_pages_of_a_fleet_fit_a_phone(tmp_path, chromium, looks):
     with Store(tmp_path / "fleet.db") as store:
         for k in range(12):

@@ -21,6 +21,7 @@ from rotorwatch.base.optional import tomllib
 from rotorwatch.commands import cli
 from rotorwatch.engine.motion.allocation import ambiguous_sets
 from rotorwatch.flight import diagnosis
+from source_imports import imports
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.md")])
@@ -255,11 +256,8 @@ def test_everything_imported_is_declared():
         | {"rotorwatch", "rotorwatch_lab", "tomllib"}
     )
     for path in sorted((ROOT / "src").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
-            host = {"MAVProxy"} if path.name == "mavproxy.py" else set()  # it is what calls that module
-            assert {n.partition(".")[0] for n in names} <= known | host, path
+        host = {"MAVProxy"} if path.name == "mavproxy.py" else set()  # it is what calls that module
+        assert {name.partition(".")[0] for _, level, name in imports(path) if not level} <= known | host, path
 
 
 def test_version_is_one():

@@ -110,6 +110,7 @@ def test_without_telemetry_nothing_changes():
     assert "cause" not in b.extra and "ESC" not in b.reason
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("autopilot, frame", [("ardupilot", "quad-x"), ("px4", "hexa-x")])
 def test_a_healthy_flight_has_no_notice(autopilot, frame):
     found = answer("healthy", autopilot, frame)
@@ -133,6 +134,7 @@ def test_a_motor_that_draws_more_is_a_notice():
     assert "draws more current than before" in found.headline and any("bearings" in step for step in found.advice)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_dead_motor_of_a_quad_is_found_before_it_is_down(autopilot):
     found = answer("dead", autopilot)

@@ -145,7 +145,7 @@ def start(_):
     return jnp.arange(N) * 0.1, jnp.ones((N, N)) * 0.3
 
 
-@pytest.mark.thorough(keep=2)
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("seed", range(PROGRAMS))
 def test_random_programs_say_the_same_in_c(seed, tmp_path):
     step = random_program(seed)

@@ -19,9 +19,9 @@ NAMES = [name for name in discovery.estimators() if name != "default"]  # of tha
 # Random steps a method is compared on; sliding windows carry much more along. With ROTORWATCH_FULL_LAW=1
 # set: 100,000 steps of every method, and the sanitizers on every one of them, in some 20 minutes.
 FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
-ROWS = {"mhe": 300, "esmf": 300, "aesmf": 300, "ekf": 5_000}
+ROWS = {"mhe": 300, "esmf": 300, "aesmf": 300, "aesmf-on-rates": 300, "ekf": 5_000}
 USUAL_ROWS, MANY_ROWS = 1_000, 100_000
-CHUNK = {"mhe": 1_000, "esmf": 5_000, "aesmf": 5_000}  # rows of one flight, whose carries fit the memory
+CHUNK = {"mhe": 1_000, "esmf": 5_000, "aesmf": 5_000, "aesmf-on-rates": 5_000}  # rows of one flight, whose carries fit the memory
 # Single precision: largest difference of losses over a flight, in losses, and of the covariance, relative.
 FLOAT_LOSS, FLOAT_FLIGHT = 1e-4, 400
 FLOAT = ("ekf", "adaptive_ekf", "lyapunov", "ukf", "tsukf")
@@ -31,10 +31,11 @@ pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
 
 
 # aesmf has all of the step of esmf.
-USUAL = ("aesmf", "atsukf", "intermediate", "mhe", "imm")
+USUAL = ("aesmf-on-rates", "atsukf", "intermediate", "mhe", "imm")
+ALL = [USUAL[0], *(n for n in NAMES if FULL or n != "esmf")]
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in NAMES if FULL or n != "esmf"])
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in USUAL else pytest.mark.thorough) for n in ALL])
 def test_a_step_in_c_is_the_step_in_python(name, tmp_path):
     program = exported(name)
     lib = library(program, tmp_path, "-O1" if FULL or name in FLOAT else "-O0")

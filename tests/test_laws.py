@@ -399,13 +399,15 @@ LAWS = [
     innovations_are_as_large_as_their_covariance_says,
     a_loss_is_found,
 ]
-# Compiled once more each. Left to ROTORWATCH_FULL_LAW=1: esmf, all of whose step aesmf has.
+# Compiled once more each. Left to ROTORWATCH_FULL_LAW=1: esmf.
 SLOW_LAWS = [many_flights_at_once_are_the_same_as_one_by_one, compiled_is_the_same_as_not]
 FULL = os.environ.get("ROTORWATCH_FULL_LAW") == "1"
 SLOW_CASES = [c for c in CASES if c[1] is not rates_hexa and (FULL or c[0] != "esmf")]
 
 
-EACH = [pytest.param(name, make, marks=[pytest.mark.thorough] * (make is rates_hexa and name not in HEXA_TOO)) for name, make in CASES]
+# aesmf has all of the step of esmf.
+LATER = [name == "esmf" or make is rates_hexa and name not in HEXA_TOO for name, make in CASES]
+EACH = [pytest.param(*case, marks=[pytest.mark.thorough] * later) for case, later in zip(CASES, LATER, strict=True)]
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.__name__)
@@ -640,7 +642,7 @@ def test_on_linear_plants_the_innovations_are_what_they_are_said_to_be(name):
     on_linear_plants_the_innovations_are_what_they_are_said_to_be(discovery.estimator(name))
 
 
-@pytest.mark.parametrize("name", published())
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.thorough] * (name == "esmf")) for name in published()])
 def test_the_length_of_a_step_counts(name):
     the_length_of_a_step_counts(case_of(name, rates_quad))
 

@@ -20,49 +20,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from tests import misbehaving
 
+from many_work import building, number, work
 from rotorwatch.base import many
 from rotorwatch.base.many import cluster, processes
 from rotorwatch.base.many.done import Task
 from rotorwatch.base.many.limited import Workers
 from rotorwatch.base.many.result_cache import ResultCache
-from rotorwatch.errors import BackendWarning, ConfigError, FirstUse, LogError, WorkerError
+from rotorwatch.errors import BackendWarning, ConfigError, LogError, WorkerError
 
 ROOT = Path(__file__).parents[1]
-
-
-class Unfriendly(Exception):
-    """Cannot be packed: it is made of more than its text."""
-
-    def __init__(self, a, b):
-        super().__init__(f"{a} and {b}")
-
-
-def work(item):
-    """What an item asks for; notes in a file that it was begun."""
-    folder, what, number = item
-    with open(Path(folder) / "begun.txt", "a") as file:
-        file.write(f"{number}\n")
-    if what == "error":
-        raise LogError(f"{number}: no log")
-    if what == "unfriendly":
-        raise Unfriendly(number, "more")
-    if what == "die once" and not (once := Path(folder) / f"died-{number}").exists():
-        once.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    if what == "die":
-        os._exit(7)
-    if what == "slow":
-        time.sleep(0.1)
-    return lambda: None if what == "unpackable" else number
-
-
-def number(item):
-    return work(item)() if item[1] != "unpackable" else work(item)
-
-
-def building(item):
-    warnings.warn("Building something.", FirstUse, stacklevel=1)
-    warnings.warn("Noise.", RuntimeWarning, stacklevel=1)
 
 
 @pytest.mark.parametrize("action", ["always", "ignore"])
@@ -142,9 +108,12 @@ def test_what_dies_is_begun_again_and_errors_are_kept(tmp_path):
     assert "exit code 7) 2 times" in str(errors[5]) and errors[5].how == "died (exit code 7)"
     assert "in work" in errors[6].__notes__[0]  # where it happened
     assert begun(tmp_path) == Counter(dict.fromkeys(range(12), 1) | {4: 2, 5: 2})
+    alone = [(tmp_path, kind if kind == "error" else "fine", k) for k, kind in enumerate(kinds)]
+    assert answers(many.run(number, alone, jobs=1)) == dict(enumerate(range(12))) | {3: "LogError"}
 
 
-@settings(max_examples=2, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@pytest.mark.thorough
+@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.sampled_from(["fine", "error", "die once"]), min_size=2, max_size=9))
 def test_jobs_change_no_answer(tmp_path_factory, kinds):
     several, one = tmp_path_factory.mktemp("several"), tmp_path_factory.mktemp("one")

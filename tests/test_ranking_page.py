@@ -44,7 +44,11 @@ def test_results_that_their_seeds_do_not_give_are_refused(make, monkeypatch, tmp
     monkeypatch.setattr(benchmark, "run", functools.partial(benchmark.run, jobs=1))  # processes of its own would compile all again
     monkeypatch.setattr(benchmark, "REPEATS", 1)
     results = benchmark.run(benchmark_plan.parsed(PLAN, "three"), ["ardupilot-thrust-loss", "default"], path)
+    again = []
+    fly = benchmark.run
+    monkeypatch.setattr(benchmark, "run", lambda *what: again.append(fly(*what)) or again[-1])
     assert make.check(path) == []
+    monkeypatch.setattr(benchmark, "run", lambda *_: again[0])  # a third time gives what the second has given
     (own,) = (method for method in results["methods"] if method["name"] == "default")
     own["scores"]["found_flights"] = sorted({0, 1, 2} - set(own["scores"]["found_flights"]))
     own["scores"]["healthy_h"] *= 1.5

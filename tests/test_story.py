@@ -77,6 +77,7 @@ def test_a_crash_is_told_from_its_flight_to_the_terminal():
     assert [s.time_s for s in answer.story] == sorted(s.time_s for s in answer.story)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("case", ["climb", "disarmed"])
 def test_no_view_of_a_crash_contradicts_another(case):
     assert walk(crash(case, 50.0 if case == "climb" else 10.0)) == []

@@ -127,6 +127,7 @@ def test_a_calm_hover_is_trusted(seed):
     assert doubts(flown(seed, "hover", 0.2 * (seed % 2), wind=0.0)) == ()
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("faster, later", [(1.02, 0.0), (0.98, 0.0), (1.0, 0.6), (1.0, -0.6)])
 @pytest.mark.parametrize("kind", ["hover", "square"])
 def test_a_gyro_of_another_clock(kind, faster, later):
@@ -208,6 +209,7 @@ def test_a_doubt_ends_the_answer():
     assert {r.status for r in answer.rotors} == {"unobservable"}
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.skipif(not WILD.is_dir(), reason="the shared test flights are not beside the repository")
 @pytest.mark.parametrize("name", ["frozen-healthy-1", "frozen-healthy-2", "frozen-fault-1", "frozen-fault-2"])
 def test_frozen_logs_of_real_vehicles(name):

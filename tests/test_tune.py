@@ -96,7 +96,8 @@ def test_losses_put_in_keep_the_walk_from_vanishing(found):
     assert 1e-4 < found.tuning.keywords["theta_walk"] < 1.0
 
 
-@pytest.mark.parametrize(("name", "pace"), [("ekf", "theta_walk"), ("adaptive_ekf", "memory_s")])
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize(("name", "pace"), [("adaptive_ekf", "memory_s"), ("ekf", "theta_walk")])
 def test_the_gradient_is_that_of_the_likelihood(name, pace):
     objective = jax.jit(tune._objective(name, [flight(0)], {}, pace))
     slope = np.asarray(jax.jit(jax.grad(tune._objective(name, [flight(0)], {}, pace)))(np.zeros(8)))

@@ -36,7 +36,8 @@ def of(diagnosis, kind: str) -> list[Event]:
     return [e for e in diagnosis.events if e.kind == kind]
 
 
-@pytest.mark.parametrize(("frame", "seed", "rate"), [("quad-x", 1, 10.0), ("quad-plus", 3, 50.0), ("quad-x", 5, 5.0)])
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize(("frame", "seed", "rate"), [("quad-x", 5, 5.0), ("quad-x", 1, 10.0), ("quad-plus", 3, 50.0)])
 def test_the_rotor_that_stopped_in_a_climb_is_named(frame, seed, rate):
     diagnosis, truth = answer(frame, "climb", seed, rate, 11.0)
     lost = of(diagnosis, "loss_of_control")
@@ -276,6 +277,7 @@ def test_a_heading_that_is_wanted_suddenly_is_no_loss_of_control_and_hides_none(
     assert left.onset == pytest.approx(49.9, abs=0.11)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_what_a_vehicle_does_with_its_motors_stopped_is_not_its_rotors(seed):
     """Outputs were swapped, and a failsafe stops the motors of the vehicle that tumbles."""
@@ -324,6 +326,7 @@ def drawn(number: int):
     return diagnose(simulate(scenario).flight), scenario.faults[0]
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("number", [1856, 4176])
 def test_a_descent_that_was_asked_for_is_no_loss_of_control(number):
     """Quads that sink as they should, 4 s before a motor stops; they strike the ground at 11 and 12 m/s."""
@@ -446,6 +449,7 @@ def test_who_turns_over_on_the_ground_after_a_landing_is_not_healthy_and_no_roto
     assert loss_of_control.find(replace(flight, signals={"attitude": attitude, "motors": parked}), [(1.0, 5.0)]) == ()
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(("number", "rotor"), [(117, 1), (803, 1)])
 def test_a_rotor_that_dies_in_wind_is_named_where_the_battery_was_steady(number, rotor):
     """The controller swings all commands while the vehicle tumbles: rotors that speed up turn it in yaw, and all of them together seem to
