@@ -8,8 +8,8 @@ from tests.plain import filled, made
 
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.estimator import announcement
-from rotorwatch.engine.estimator.announcement import ABSORB_S, EDGE, TICKS, Alarm
-from rotorwatch.engine.estimator.hypotheses import CLEAR, PAIR, PAIR_WEIGHT, SINGLE, STUCK_WEIGHT
+from rotorwatch.engine.estimator.announcement import ABSORB_S, EDGE, RECOVERS_S, TICKS, Alarm
+from rotorwatch.engine.estimator.hypotheses import CLEAR, PAIR, PAIR_WEIGHT, RECOVERY, SINGLE, STUCK_WEIGHT
 from rotorwatch.engine.estimator.noise import MEMORY_S
 from rotorwatch.engine.estimator.plant import USUAL_S, Plant
 from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
@@ -23,7 +23,7 @@ def decide(
     fault=0.0,
     other=-9.0,
     far=-9.0,
-    pair=False,
+    kind=SINGLE,
     since=5.0,
     asked=True,
     missing=True,
@@ -36,7 +36,7 @@ def decide(
     """One tick more."""
     alarm = alarm or made(Alarm, limit=LIMIT)
     found = SimpleNamespace(fault=fault, other=other, far=far, asked=SimpleNamespace(weak=weak))
-    best = SimpleNamespace(kind=PAIR if pair else SINGLE, since=since, gives=gives)
+    best = SimpleNamespace(kind=kind, since=since, gives=gives)
     may = SimpleNamespace(asked=asked, missing=missing)
     alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, judge, pushed)
     return alarm
@@ -59,6 +59,12 @@ def test_a_fault_over_the_threshold_at_two_ticks_in_a_row_is_announced(dt):
     assert ticks_until_alarm(dt, fault=LIMIT + 0.1) == TICKS and ticks_until_alarm(dt, fault=LIMIT - 0.1) is None
 
 
+@pytest.mark.parametrize("dt", [0.05, 0.1, 1.0])
+def test_a_recovery_has_to_last_until_commands_have_answered(dt):
+    sure = dict(fault=LIMIT + CERTAIN_NATS + 10.0, weak=True)
+    assert ticks_until_alarm(dt, kind=RECOVERY, **sure) == max(TICKS, round(RECOVERS_S / dt)) and ticks_until_alarm(dt, **sure) == TICKS
+
+
 @pytest.mark.parametrize("weak", [False, True])
 @pytest.mark.parametrize("name", ["other", "far"])
 def test_it_has_to_be_ten_times_likelier_than_any_disturbance(name, weak):
@@ -75,9 +81,9 @@ def test_nothing_is_announced_while_something_pushes_the_vehicle_sideways():
 
 def test_pairs_which_are_rare_by_their_prior_are_not_held_against_something_else():
     for weak in (False, True):
-        assert ticks_until_alarm(fault=30.0, far=30.0, pair=True, weak=weak) is not None
+        assert ticks_until_alarm(fault=30.0, far=30.0, kind=PAIR, weak=weak) is not None
         assert ticks_until_alarm(fault=30.0, far=30.0, weak=weak) is None
-    assert ticks_until_alarm(fault=30.0, other=30.0, pair=True) is None
+    assert ticks_until_alarm(fault=30.0, other=30.0, kind=PAIR) is None
 
 
 @pytest.mark.parametrize("blocked", [{"asked": False}, {"missing": False}, {"judge": False}, {"since": EDGE * REACH}])
@@ -94,7 +100,7 @@ def test_what_a_gate_refuses_is_announced_where_no_disturbance_comes_near(refuse
     fault = LIMIT + CERTAIN_NATS + 1.0
     assert ticks_until_alarm(fault=fault, **refused) == TICKS
     assert ticks_until_alarm(fault=fault, other=fault - MUCH - CERTAIN_NATS + 1.0, **refused) is None
-    assert ticks_until_alarm(fault=fault, pair=True, **refused) is None
+    assert ticks_until_alarm(fault=fault, kind=PAIR, **refused) is None
     assert ticks_until_alarm(fault=fault, missing=False, **refused) is None  # what the ground does is in no model
     assert ticks_until_alarm(fault=fault, gives=1.8, **refused) is None  # what pushes from outside looks like that
 

@@ -10,7 +10,7 @@ from rotorwatch import airframes
 from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.estimator.bank import Slots
 from rotorwatch.engine.estimator.evidence import Best
-from rotorwatch.engine.estimator.hypotheses import NONE
+from rotorwatch.engine.estimator.hypotheses import NONE, RECOVERY
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
 from rotorwatch.engine.estimator.noise import FAST, Noise
@@ -25,6 +25,7 @@ from rotorwatch.engine.estimator.plausibility import (
     Missing,
     Plausible,
 )
+from rotorwatch.engine.events.carried import LANDS
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch_lab.simulation import scenario, simulate
 
@@ -111,6 +112,22 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
             assert possible(one, now=now, rough=(0, 0, 0, rough), smooth=2.0, rise=9.0) is answer
             assert possible(one, now=now, measured=False, rise=9.0, smooth=2.0)
     assert possible(jump((2, -0.3)), now=missing(fast=-9.0), active=(2,))  # what gives more again lacks nothing
+
+
+@pytest.mark.parametrize("still", [True, False])
+@pytest.mark.parametrize("carries", [0.97, 0.8])
+def test_no_rotor_is_lost_while_the_ground_carries_a_part(carries, still):
+    """Commanded less than carries the vehicle, which neither climbs nor sinks. A rotor stuck at much thrust makes it climb first; the end of
+    a loss needs less thrust, too."""
+    now, gear = made(Missing), made(Inputs, load=float(N), valid=np.ones(4, bool), still=still, full=9.0)
+    for thrust in (1.0,) * 30 + (carries,) * 10:
+        now.follow(P, gear, N * (thrust - 1.0))
+    assert now.stands == (still and carries < LANDS)
+    stuck, cut = jump((2, 1.0), gives=1.8), np.array([1.0, 0.2, 1.0, 1.0])
+    assert possible(stuck, rise=-2.0, smooth=cut, now=now) != now.stands
+    back = jump((2, -0.3))
+    back.kind = RECOVERY
+    assert possible(back, now=now, active=(2,))
 
 
 @pytest.mark.parametrize("climb, air", [(-3.0, 0.1 * N * 3.0), (0.0, 0.0), (3.0, 0.0)])

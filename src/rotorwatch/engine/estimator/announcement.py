@@ -3,8 +3,8 @@
 A fault is announced when the Shiryaev-Roberts statistic, the evidence of all faults at any onset, passes a threshold. Without a fault its
 mean time to do so is at least the threshold (in ticks, over the sum of prior weights; Pollak, Ann. Statist. 13, 1985): the stated
 false-alarm rate is the threshold. Evidence only ranks the given hypotheses, so the fault must also be ten times (CLEAR) likelier than
-any disturbance, at two ticks in a row. Thrust must also be missing, and the fault must either be certain (CERTAIN_NATS) or have its onset
-within the bank's reach and commands that moved in the direction it demands (plausibility.py).
+any disturbance, at two ticks in a row; a recovery for RECOVERS_S. Thrust must also be missing, and the fault must either be certain
+(CERTAIN_NATS) or have its onset within the bank's reach and commands that moved in the direction it demands (plausibility.py).
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import Real, Struct, exp, log, real
 from rotorwatch.engine.estimator.bank import Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence
-from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, pair_count, weight_of
+from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, RECOVERY, pair_count, weight_of
 from rotorwatch.engine.estimator.noise import MEMORY_S
-from rotorwatch.engine.estimator.plant import USUAL_S, Plant
+from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Plausible
 from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
@@ -24,6 +24,7 @@ from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_
 # 95 % interval 7.5 to 12.0), 75 of 1025 with 4 nats less; a factor of 1, a threshold 1.9 nats higher, would still let 65 pass.
 GATES = 0.15
 TICKS = 2  # in a row for which all conditions hold
+RECOVERS_S = ANSWER_S  # for which they hold for a recovery: quick commands of a manoeuvre look like one until they are answered
 EDGE = 0.9  # of the bank's reach
 ABSORB_S = 1.0
 
@@ -60,7 +61,8 @@ class Alarm(Struct):
         sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.gives <= 0.0
         self.possible = may.missing and not pushed and ((may.asked and best.since < EDGE * bank.reach) or sure)
         self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
-        self.alarm = self.above >= TICKS
+        lasts = RECOVERS_S if best.kind == RECOVERY else 0.0
+        self.alarm = real(self.above) > max(lasts / p.dt, real(TICKS)) - 0.5
         # A certain change is absorbed, whatever its cause, once a rotor is known to be weak; before that only if it is no fault.
         certain = max(found.other, found.fault) > CERTAIN_NATS and (found.other > found.fault + CLEAR or weak)
         self.sure_s = self.sure_s + p.dt if judge and not self.alarm and certain else 0.0

@@ -84,6 +84,7 @@ class Inputs(Struct):
     expo: Real = 0.0  # of the thrust curve
     expo_sd: Real = 0.0  # its standard deviation
     axial: Real = 0.0  # speed along the thrust axis, m/s, positive in a climb along it, 0 if unknown
+    still: bool = False  # it is known to move neither up nor down
     mode: int = 0  # of intake/ticks.py, GROUND to JUDGE
     restart: bool = False  # widen the biases: a new hop, or after a contact
     hop: bool = False  # this restart is a new hop

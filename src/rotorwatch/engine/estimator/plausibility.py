@@ -10,11 +10,12 @@ from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.bank import Slots
 from rotorwatch.engine.estimator.estimator_sizes import ROTORS
 from rotorwatch.engine.estimator.evidence import Best
-from rotorwatch.engine.estimator.hypotheses import NONE
+from rotorwatch.engine.estimator.hypotheses import NONE, RECOVERY
 from rotorwatch.engine.estimator.kalman import Branch
 from rotorwatch.engine.estimator.model_error import AT_LIMIT, BELOW_LIMIT, Seen
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import ANSWER_S, THRUST, USUAL_S, Inputs, Plant
+from rotorwatch.engine.events.carried import LANDS
 from rotorwatch.engine.events.losses import CANCELS
 
 # Both tests tolerate a standard deviation of this flight's disturbances, and at least the slack in calm air.
@@ -36,6 +37,7 @@ class Missing(Struct):
     heave: Real = 0.0  # largest recent deviation of the load factor from 1
     rose: Real = 0.0  # the same, above 1 only
     climb: Real = 0.0  # vertical speed from recent acceleration, m/s
+    stands: bool = False  # the ground carries a part of the vehicle: it is commanded clearly less and does not sink
     limit = array(REAL, ROTORS)  # share of its thrust that a saturated rotor may recently have lacked
 
     def follow(self, p: Plant, now: Inputs, lacking: Real) -> None:
@@ -57,6 +59,7 @@ class Missing(Struct):
             self.heave = max(abs(up), self.heave * left)
             self.rose = max(up, self.rose * left)
             self.climb = self.climb * left + up * G0 * p.dt
+        self.stands = valid and now.still and self.fast - self.usual < (LANDS - 1.0) * real(p.rotors)
         kept = 0.0 if now.restart else exp(-p.dt / LIMIT_S)
         for i in range(p.rotors):
             share = now.thrust[i] / now.full
@@ -185,4 +188,5 @@ class Plausible(Struct):
         if best.gives > 0.0:
             fits = fits and since >= 0.5 * ANSWER_S and commanded < CUT_SHARE * mean
         self.asked = asked
-        self.missing = fits
+        # The end of a loss needs less thrust as well.
+        self.missing = fits and (best.kind == RECOVERY or not missing.stands)
