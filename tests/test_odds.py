@@ -60,7 +60,18 @@ def test_two_at_once_have_both_their_weights_and_a_push_one_more():
     assert push == ("loss", "beside", "push", "pushed", "claimed") and other == push[:-1]
 
 
-@pytest.mark.parametrize(("log_odds", "decision"), [(20.0, odds.Decision.LOSS), (-20.0, odds.Decision.DROPPED), (0.0, odds.Decision.OPEN)])
+@pytest.mark.parametrize(
+    ("log_odds", "decision"),
+    [
+        (20.0, odds.Decision.LOSS),
+        (np.log(60.0), odds.Decision.LOSS),
+        (np.log(40.0), odds.Decision.OPEN),  # one claim of eight with such odds is wrong
+        (0.0, odds.Decision.OPEN),
+        (-np.log(8.0), odds.Decision.OPEN),
+        (-np.log(12.0), odds.Decision.DROPPED),
+        (-20.0, odds.Decision.DROPPED),
+    ],
+)
 def test_a_claimed_loss_stands_is_open_or_goes(log_odds, decision):
     names = (("loss", "", (0,)), ("nothing", "", ()))
     against = odds.WEIGHTS["nothing"] - odds.WEIGHTS["claimed"]

@@ -35,12 +35,14 @@ TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well,
 
 
 class Limits(NamedTuple):
-    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. sure: probability from which an open claim becomes
+    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. named: the same against no loss: claims with odds
+    of 10 to 50 are right seven times of eight, others 99 times of 100 (docs/tuning.md). sure: probability from which an open claim becomes
     an event, a claim that grows or is ambiguous is dropped, and of all else from which an open claim is. scanned: nats by which an
     explanation that nothing but the scan has pointed to must exceed all others: real motors differ in lag, and controllers follow their own
     noise; healthy real flights reach 8."""
 
     clear: float = CLEAR
+    named: float = 50.0
     sure: float = 0.95
     scanned: float = 10.0
 
@@ -213,7 +215,7 @@ class Comparison:
             return Decision.DROPPED
         if found.claim < 1.0 - clear:  # another rotor, or none in particular
             return Decision.OPEN if max(found.others.values(), default=0.0) > 0.5 else Decision.DROPPED
-        unsure = found.none > 1.0 - clear or (found.claim < clear and not found.near(limits))
+        unsure = found.none > 1.0 / (1.0 + limits.named) or (found.claim < clear and not found.near(limits))
         return Decision.OPEN if unsure else Decision.LOSS
 
     def _settled(self, found: Weighed, limits: Limits) -> Decision:
