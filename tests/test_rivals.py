@@ -161,6 +161,11 @@ def test_two_seconds_of_contact_accuse_nobody():
     assert not kept and (open_ or warnings)
 
 
+def test_an_open_claim_is_of_all_suspects():
+    alone, several = (rivals._opened(e, 0.5) for e in (claim(2), replace(claim(2), alternatives=((1, 2), (3,)))))
+    assert (alone.rotors, alone.interval) == ((2,), claim(2).interval) and (several.rotors, several.interval) == ((1, 2, 3), ())
+
+
 def test_the_wrong_rotor_is_not_left_alone():
     kept, _, _ = heard(flight(0.3, rotor=0), [claim(3)])
     assert all(e.rotors == (1,) or (1,) in e.alternatives for e in kept)
