@@ -106,6 +106,13 @@ def test_a_claim_that_any_rotor_could_take_the_place_of_is_open_or_goes(claimed,
     assert claim.decided(claim.weighed()) is decision
 
 
+@pytest.mark.parametrize(("nats", "decision"), [(20.0, odds.Decision.LOSS), (8.0, odds.Decision.OPEN), (-6.0, odds.Decision.DROPPED)])
+def test_what_may_be_no_loss_is_open_among_several_rotors_too(nats, decision):
+    names = (("loss", "", (0,)), ("nothing", "", ()), ("loss", "", (1,)))
+    claim = a_claim([nats, 0.0, nats], names, alternatives=((2,),))
+    assert claim.decided(claim.weighed()) is decision
+
+
 def test_what_only_the_scan_has_pointed_to_must_exceed_all_else_by_more():
     names = (("nothing", "", ()), ("loss", "", (0,)), ("slow 0.2 s", "", (0,)))
     margin = (odds.WEIGHTS["nothing"] + 0.5 * (np.log(SURE / (1.0 - SURE)) + odds.LIMITS.scanned)) / odds.TEMPER

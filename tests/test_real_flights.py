@@ -13,6 +13,7 @@ import tomllib
 from rotorwatch import airframes, logs
 from rotorwatch.flight import Flight, Signal, vehicle_file
 from rotorwatch_lab.experiments import evaluate, real_flights
+from rotorwatch_lab.experiments.labels import Fault
 from rotorwatch_lab.experiments.real_flights import crazypad, degraded_control, neural_fly, openha, others, rrc, rules, tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -151,6 +152,16 @@ def test_the_page_is_made_of_the_results(maker):
     assert maker.PAGE.read_text() == maker.page(sources, maker.read())
     assert all(s["recipe"] in {"rrc", "crazypad", "openha", "degraded_control", "neural_fly", "others"} for s in sources)
     assert all(hasattr(real_flights.recipe(s["recipe"]), "flights") for s in sources)
+
+
+def test_a_rule_is_judged_on_each_fault_by_its_alarms_up_to_the_next(maker, monkeypatch):
+    alarms = [{"detector": rules.REVIEW, "time_s": t, "rotor": r} for t, r in ((10.5, 1), (20.5, 4))]
+    monkeypatch.setattr(maker.logs, "read", lambda path: None)
+    monkeypatch.setattr(maker.rules, "findings", lambda log, vehicle: alarms)
+    flight = SimpleNamespace(path="", vehicle=None, faults=(Fault((1,), 10.0), Fault((3,), 20.0), Fault((2,), 30.0)))
+    assert [said[rules.REVIEW] for said in maker._others(flight)] == ["right", "wrong", "none"]
+    healthy = SimpleNamespace(path="", vehicle=None, faults=())
+    assert [said[rules.REVIEW] for said in maker._others(healthy)] == ["false"]
 
 
 def test_a_checkout_becomes_rows_without_its_folder(maker, tmp_path, monkeypatch):

@@ -102,11 +102,13 @@ def test_what_the_motion_denies_is_no_event(trim):
     assert len(warnings) == 1 and "rotor 2" in warnings[0] and "25.0 s" in warnings[0]
 
 
-@pytest.mark.parametrize(("seconds", "loss"), [(1.0, 0.0), (5.0, 0.0), (1.0, 0.3), (5.0, 0.3)])
-def test_thrust_that_all_rotors_lack_alike_accuses_none_and_hides_no_loss(seconds, loss):
+@pytest.mark.parametrize(
+    ("sag", "seconds", "loss"), [(0.45, 1.0, 0.0), (0.6, 10.0, 0.0), (0.45, 1.0, 0.3), (0.45, 5.0, 0.3), (0.6, 10.0, 0.5)]
+)
+def test_thrust_that_all_rotors_lack_alike_accuses_none_and_hides_no_loss(sag, seconds, loss):
     """A battery that sags, and rotor 2 that fails as it does, or not."""
     ticks = flight(loss, 1)
-    thrust = ticks.thrust / (1.0 - 0.45 * ramp(ticks.time, ONSET_S, ONSET_S + seconds))[:, None]
+    thrust = ticks.thrust / (1.0 - sag * ramp(ticks.time, ONSET_S, ONSET_S + seconds))[:, None]
     kept, open_, _ = heard(replace(ticks, thrust=thrust, wrench=thrust @ QUAD.T), [claim(2)])
     assert [e.rotors for e in kept] == ([(2,)] if loss else []) and not open_
 
@@ -159,6 +161,11 @@ def test_two_seconds_of_contact_accuse_nobody():
 
     kept, open_, warnings = heard(flight(trim=contact), [claim(2)])
     assert not kept and (open_ or warnings)
+
+
+def test_an_open_claim_is_of_all_suspects():
+    alone, several = (rivals._opened(e, 0.5) for e in (claim(2), replace(claim(2), alternatives=((1, 2), (3,)))))
+    assert (alone.rotors, alone.interval) == ((2,), claim(2).interval) and (several.rotors, several.interval) == ((1, 2, 3), ())
 
 
 def test_the_wrong_rotor_is_not_left_alone():

@@ -24,11 +24,12 @@ from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.engine.events.decisions import CLEAR
 from rotorwatch.flight.kinds import SUREST
 
+COMMON = "common"  # all rotors lose thrust, each as much as the motion says
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor. Added are "beside" for two at once,
 # which have both their weights, "pushed" where a push is one of them, and "claimed" where the rotors are those of an announced loss.
 WEIGHTS: dict[str, float] = {
     "loss": 0.0, "growing": 0.4, "stuck": 0.6, "capped": -3.2, "slow": -3.5, "turned": -2.8,
-    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -4.0, "move": -0.5, "wrench": 0.5, "common": -6.0,
+    "nothing": 4.0, "step": -0.6, "push": -1.7, "shift": -4.0, "move": -0.5, "wrench": 0.5, COMMON: -4.0,
     "beside": -4.0, "pushed": -2.0, "claimed": 1.0,
 }  # fmt: skip
 TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well, and leaves fewer true losses in doubt (docs/tuning.md)
@@ -98,8 +99,11 @@ class Row(NamedTuple):
 
 def row(rival: Rival, fit: Fit) -> Row:
     """The row of a rival's fit. A rotor does not gain thrust: the prior of a loss theta ends at 0, and the evidence of a fit whose prior
-    does not is multiplied by 2 P(theta > 0)."""
-    weak = tuple(sorted(i for i in rival.weak if fit.loss[i] > 0.0))
+    does not is multiplied by 2 P(theta > 0). Where all may lose thrust, as by a battery that sags, those are weak that lose more than the
+    mean of the others, by a standard deviation."""
+    n = len(fit.loss)
+    usual = (fit.loss.sum() - fit.loss) / (n - 1) + fit.sd if rival.name == COMMON else np.zeros(n)
+    weak = tuple(sorted(i for i in rival.weak if fit.loss[i] > usual[i]))
     lost = rival.weak if not rival.how.gives else ()  # a stuck rotor has no loss
     log_p = fit.log_p + sum(_log_positive(fit.loss[i] / max(fit.sd[i], 1e-9)) for i in lost)
     return Row(rival.name, rival.beside, rival.how.rotors, weak, log_p, fit.loss[list(weak)], fit.sd[list(weak)])

@@ -27,7 +27,7 @@ from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
 from rotorwatch.witnesses import pushes
-from rotorwatch.witnesses.odds import SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row, stated
+from rotorwatch.witnesses.odds import COMMON, SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row, stated
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
 register(
@@ -60,7 +60,6 @@ ELSE = (
     Rival("shift", Explanation(step=1.0, load=1.0)),
     *(Rival(f"move 0.04, lever {lever:g}", Explanation(drift=0.04, lever=lever, load=1.0)) for lever in (0.0, 14.0)),
     Rival("wrench 3", Explanation(step=1.0, force=3.0)),
-    Rival("common", Explanation(common=0.3, swells=0.07)),
 )  # fmt: skip
 PASSED = " passes"  # of a push that is over
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
@@ -81,6 +80,7 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float, pushed_s: float = np.in
     rest += [Rival(PUSH.name + PASSED, PUSH.how._replace(end_s=pushed_s))] if pushed_s < np.inf else []
     rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
     rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
+    rest += [Rival(COMMON, Explanation(tuple(range(n)), end_s, grows=GROWS))]
     singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
     if not claim:
         return [*rest, *singles]

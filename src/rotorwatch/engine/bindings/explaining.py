@@ -25,8 +25,8 @@ class Explanation(NamedTuple):
     of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
     flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
     by which it yaws the vehicle in a side force. push: standard deviation of each component of a torque that turns with the world, swells:
-    its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. common: standard deviation of a loss of all rotors alike, which
-    walks by swells. load: share of the trim of roll and pitch that grows with all thrust."""
+    its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. load: share of the trim of roll and pitch that grows with all
+    thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -43,7 +43,6 @@ class Explanation(NamedTuple):
     push: float = 0.0
     swells: float = 0.0
     lift: float = 0.0
-    common: float = 0.0
 
 
 class Fit(NamedTuple):
@@ -123,7 +122,7 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     rows, others = ENGINE.array(explanations.Explanation, len(them)), ENGINE.array(kalman.Branch, max(len(them) - 1, 1))
     columns = {
         name: np.array([getattr(e, name) for e in them])
-        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load", "push", "swells", "lift", "common")
+        for name in ("grows", "gives", "late", "cap", "turned", "force", "drift", "lever", "load", "push", "swells", "lift")
     }
     rows.fill(
         rotors=np.array([sum(1 << i for i in e.rotors) for e in them]), end=np.array([tick(e.end_s) for e in them]),

@@ -45,12 +45,10 @@ class Explanation(Struct):
     drift: Real = 0.0  # of the trim in roll and pitch by a centre of mass that moves, hover thrusts per sqrt(s)
     lever: Real = 0.0  # arm over drag ratio: side force yaws the vehicle about the moved centre of mass
     push: Real = 0.0  # standard deviation of both parts of a torque that turns with the world, by a force from outside, hover thrusts
-    swells: Real = 0.0  # walk of that torque, hover thrusts per sqrt(s), or of the common loss, 1 per sqrt(s)
-    common: Real = 0.0  # standard deviation of a loss of all rotors alike
+    swells: Real = 0.0  # walk of that torque, hover thrusts per sqrt(s)
     lift: Real = 0.0  # thrust that the push takes where the vehicle leans into it, hover thrusts
     side = array(REAL, 2)  # forward and right side force at the onset, m/s^2
-    # Rotors whose states hold that torque, by the north and the east of the force at the onset, and that thrust; or the common loss.
-    carriers = array(MASK, 3)
+    carriers = array(MASK, 3)  # rotors whose states hold that torque, by the north and the east of the force at the onset, and that thrust
     ahead: Real = 1.0  # cosine and sine of the turn since the onset
     aside: Real = 0.0
     load: Real = 0.0  # share of the trim of roll and pitch that grows with the thrust of all rotors, as that of a centre of mass does
@@ -148,8 +146,6 @@ def _predict(p: Plant, one: Branch, how: Explanation, noise: Noise, again: bool,
     if t >= begin and t < how.end and how.push > 0.0:
         for k in range(2):
             one.P[entry(THETA + how.carriers[k], THETA + how.carriers[k])] += how.swells * how.swells * p.dt
-    if t >= begin and how.common > 0.0:
-        one.P[entry(THETA + how.carriers[0], THETA + how.carriers[0])] += how.swells * how.swells * p.dt
     if t >= onset:
         _stir(p, one, noise, how.force * how.force - 1.0, how.drift)
 
@@ -167,8 +163,6 @@ def _update(p: Plant, e: Estimator, one: Branch, how: Explanation, now: Inputs, 
         _turn(how, now.rate[2] * p.dt)
         m.y[YAW] -= _by_push(p, how, e)
         _push(p, how, e.rows, m, one, e.seen.gain_share)
-    elif how.common > 0.0 and settled:
-        _share(p, how, e.rows, m, one, e.seen.gain_share)
     elif how.turned > 0.0 and settled:
         _yaws(p, how, e.rows, m, one, e.seen.gain_share)
     else:
@@ -217,10 +211,6 @@ def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None
                 wide = how.push if k < 2 else LEANS * how.lift
                 one.s[held] = 0.0 if k < 2 else how.lift
                 one.P[entry(held, held)] = wide * wide
-    if how.common > 0.0 and begins:
-        held = THETA + how.carriers[0]
-        one.forget(p, held)
-        one.P[entry(held, held)] = how.common * how.common
     if begins or (ends and how.push <= 0.0):
         for a in range(4):
             one.P[entry(a * PER_AXIS + B3, a * PER_AXIS + B3)] += how.step[a] * how.step[a]
@@ -298,20 +288,6 @@ def _push(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_sh
     for k in range(carried):
         for a in range(4):
             h.h[a][THETA + how.carriers[k]] = kept[a][k]
-
-
-def _share(p: Plant, how: Explanation, h: Rows, m: Measured, one: Branch, gain_share: Reals) -> None:
-    """Update an explanation whose rotors lose the same share, all of them."""
-    kept = local(REAL, 4)
-    held = THETA + how.carriers[0]
-    for a in range(4):
-        kept[a] = h.h[a][held]
-        h.h[a][held] = 0.0
-        for i in range(p.rotors):
-            h.h[a][held] += kept[a] if THETA + i == held else h.h[a][THETA + i]
-    one.update(p, h, m, gain_share)
-    for a in range(4):
-        h.h[a][held] = kept[a]
 
 
 def _weigh(p: Plant, one: Branch, how: Explanation, now: Inputs, m: Measured) -> None:
