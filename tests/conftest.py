@@ -13,8 +13,8 @@ from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
-# Each core runs tests already: a second thread for small matrices only waits, and makes JAX's programs a quarter dearer (NPROC is the number
-# of XLA's threads). Before NumPy and JAX are imported.
+# Each core runs tests already: a second thread for small matrices only waits, and makes JAX's programs a quarter dearer (NPROC: of XLA).
+# Before NumPy and JAX are imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NPROC", "1")
 
@@ -78,8 +78,8 @@ gc.set_threshold(50_000, 20, 50)
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_sessionstart(session):
-    """Of two workers that have the whole suite before them one loads the tests from the last to the first: each finds half of what Python and
-    pytest make of the sources on the disk, compiled by the other."""
+    """Of two workers with the whole suite before them one loads the tests from the last to the first: half of what Python and pytest make
+    of the sources has been made by the other when it comes to them."""
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if worker.endswith(("1", "3", "5", "7", "9")) and list(session.config.args) == session.config.getini("testpaths"):
         for path in sorted(Path(__file__).parent.glob("test_*.py"), reverse=True):
@@ -345,10 +345,10 @@ def run(capsys):
 
 @pytest.fixture(scope="session")
 def chromium():
-    """The browser that pages are tested in."""
-    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    """The browser that pages are tested in: without a window of its own, where there is one: it takes a third of the time."""
+    found = next(filter(None, map(shutil.which, ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome"))), None)
     if found is None and os.environ.get("CI"):
-        pytest.fail("no Chromium found; pages must be checked in a browser here (apt-get install chromium)")
+        pytest.fail("no Chromium found; pages must be checked in a browser here (apt-get install chromium-headless-shell)")
     if found is None:
-        pytest.skip("no Chromium found (apt-get install chromium)")
+        pytest.skip("no Chromium found (apt-get install chromium-headless-shell)")
     return found

@@ -16,7 +16,7 @@ FLOAT = {"f": np.float32, "i": np.int32, "l": np.int64, "b": np.bool_}
 
 @functools.cache
 def estimator(name):
-    """An estimator as it is exported by default; NAME-on-rates: on the plant that most have, whose program is smaller than a helicopter's."""
+    """An estimator as it is exported by default; NAME-on-rates: on the plant that most have: its program is small."""
     method, _, rates = name.partition("-on-")
     return prepare(method, USUAL[1] if rates else None)
 

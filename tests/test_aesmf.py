@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
@@ -42,7 +43,7 @@ def form(P, d):
 # Sets.
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=trials(25), deadline=None)
 @given(seeds)
 def test_a_sum_of_sets_holds_every_sum(seed):
     rng = np.random.default_rng(seed)
@@ -65,7 +66,7 @@ def test_an_ellipsoid_around_a_box_holds_its_corners_and_the_printed_one_does_no
         assert (worst <= 1 + 1e-12) == holds, rule
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=trials(25), deadline=None)
 @given(seeds, st.sampled_from(["source", "volume", "trace"]))
 def test_a_cut_keeps_every_point_that_explains_the_measurement(seed, rule):
     rng = np.random.default_rng(seed)

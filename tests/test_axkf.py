@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
@@ -208,7 +209,7 @@ def dense(state, x, F, Phi, e, C, D, Q, R, lam):
     return x + K @ e + Upsilon @ dtheta, P - K @ C @ P, state.theta + dtheta, S, Upsilon
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=trials(25), deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.6, 0.999))
 def test_one_measurement_after_the_other_is_all_at_once(seed, lam):
     rng = np.random.default_rng(seed)
@@ -230,7 +231,7 @@ def test_one_measurement_after_the_other_is_all_at_once(seed, lam):
     np.testing.assert_allclose(out.x_cov, found.P + found.Upsilon @ found.S @ found.Upsilon.T, atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=trials(30), deadline=None)
 @given(st.integers(0, 2**31), st.floats(0.02, 1e6), st.floats(1e-3, 1e6))
 def test_forgetting_keeps_below_the_bound(seed, memory_s, bound):
     """From any covariance up to the bound, however long nothing is excited, and however long a step is against the memory."""

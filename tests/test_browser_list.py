@@ -1,6 +1,5 @@
 """The list of flights in a real browser: filters in the address, keyboard, two flights compared, deletion in all tabs, accessibility."""
 
-from dataclasses import replace
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
@@ -15,13 +14,13 @@ FAULT, LATER = f"{MANY - 1:064x}", f"{MANY - 2:064x}"
 
 def fill(place):
     """Flights of three aircraft; the newest two are hexas of which rotor 3, rotor 5 lost thrust."""
-    one = hexa_diagnosis()
-    other = hexa_diagnosis(events=(hexa_event(rotors=(5,)),))
-    well = hexa_diagnosis(events=(), verdict="healthy", headline="Nothing was found.")
+    one = hexa_diagnosis().to_dict()
+    other = hexa_diagnosis(events=(hexa_event(rotors=(5,)),)).to_dict()
+    well = hexa_diagnosis(events=(), verdict="healthy", headline="Nothing was found.").to_dict()
     with Store(place) as store:
         for k in range(MANY):
             found = one if k == MANY - 1 else other if k == MANY - 2 else well
-            told = replace(found, flight={**found.flight, "name": f"{k:04d}.bin"}).to_dict()
+            told = {**found, "flight": {**found["flight"], "name": f"{k:04d}.bin"}}
             store.add(Entry(
                 f"{k:064x}", "", f"{k:04d}.bin", 1, identity=f"uid {k % 3}", called=f"Quad {k % 3}", frame="hexa X", rotors=6,
                 utc=f"2026-05-{1 + k // 24:02d}T{k % 24:02d}:00:00.000Z", duration_s=10.0 + k, airborne_s=10.0, verdict=told["verdict"],
@@ -40,13 +39,24 @@ def site(tmp_path_factory):
     server.kill()
 
 
-@pytest.fixture
-def tab(site, browser):  # noqa: F811
+@pytest.fixture(scope="module")
+def window(site, browser):  # noqa: F811
     one = Tab(browser, site.address, viewport={"width": 1400, "height": 900}, reduced_motion="reduce")
-    one.page.wait_for_selector("#list tbody tr")
     yield one
-    assert [text for text in one.wrong if "status of" not in text] == []
     one.page.context.close()
+
+
+@pytest.fixture
+def tab(window, site):
+    """A tab as a new one: a browser takes half a second to open one."""
+    window.page.evaluate("[localStorage, sessionStorage].forEach(kept => kept.clear())")
+    window.wrong.clear()
+    window.page.goto("about:blank")
+    window.page.goto(site.address)
+    window.page.wait_for_selector("#list tbody tr")
+    yield window
+    assert [text for text in window.wrong if "status of" not in text] == []
+    window.page.goto(site.address)
 
 
 def names(page):

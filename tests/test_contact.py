@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import diagnose
 from rotorwatch.base.compiling.running import Rows
 from rotorwatch.engine.intake import contact as definition
@@ -42,7 +43,7 @@ def struck(side=None, load=None, rate_dot=None, thrust=None, torque=None, shake=
     return hit, knocks.contacts(Rows(definition.Touch, None, touches))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 @given(
     drag=st.floats(0.0, 0.45), wave=st.floats(0.1, 2.0), climb=st.floats(-0.5, 0.5), turn=st.floats(-15.0, 15.0), loss=st.floats(0.0, 1.0)
 )
@@ -58,7 +59,7 @@ def test_flying_is_no_contact(drag, wave, climb, turn, loss):
     assert not hit.any() and found == ()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 @given(turn=st.floats(0.0, 15.0), falls_turning=st.floats(0.0, 4.5))
 def test_a_vehicle_whose_motors_are_cut_in_the_air_is_not_struck(turn, falls_turning):
     """Motors that run down turn it for a tick or two, and then the air does, gently: no rotor is commanded to, and nothing struck it."""

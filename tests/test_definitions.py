@@ -432,7 +432,7 @@ def test_conditions(made, x, y, k):
     both(made, "truths", "flag", 6, x, y, k)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=trials(50), deadline=None)
 @given(REAL, st.integers(0, 10000))
 def test_conversions(made, x, k):
     both(made, "conversions", "real", 8, x, k)
@@ -444,7 +444,7 @@ def test_loops_and_local_arrays(made, x):
     both(made, "loops", "real", 3, len(x), np.array([*x, *[0.0] * (COUNT - len(x))]))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=trials(50), deadline=None)
 @given(st.lists(st.tuples(REAL, st.integers(0, 2)), max_size=8))
 def test_structs(made, steps):
     """First values, fields of fields, other names for parts, copies and resets."""
@@ -461,7 +461,7 @@ def test_structs(made, steps):
         same(records(one, plain), records(other, compiled))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=trials(30), deadline=None)
 @given(st.integers(0, 5), st.text(st.characters(min_codepoint=1, max_codepoint=126), max_size=9))
 def test_texts(made, k, more):
     small, compiled, plain = made

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.engine.bindings.plant_rows import usual_gains
 from rotorwatch.engine.estimator.plant import TAU
@@ -61,7 +62,7 @@ def test_a_quadrotor_has_none():
     assert excitation.null_space(airframes.named("ardupilot-quad-x").effectiveness()).shape == (4, 0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 @given(st.floats(-1.0, 5.0))
 def test_a_healthy_vehicle_does_not_answer(t):
     signal, B = SIGNAL, B_OF["hexa-x"]

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.maths.faulty_allocation import LeastSquares, Sparse, Temporal
@@ -62,7 +63,7 @@ def dense(n, f, price=9.0, W=1e6):
 
 
 @pytest.mark.parametrize("n", [6, 8])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=trials(25), deadline=None)
 @given(data=st.data())
 def test_sparse_is_the_best_of_all_sets(n, data):
     """One or two rotors, or all alike and one more: what it answers scores as well as an enumeration with a library."""

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.engine.bindings import program
 from rotorwatch.errors import ConfigError
@@ -126,7 +127,7 @@ def test_cusums_that_are_run():
 
 
 @given(wanted=st.floats(1e-6, 1e12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 def test_the_threshold_solves_its_equation(wanted):
     h, needed = limits.cusum(1.0, wanted)
     assert np.expm1(h) - h == pytest.approx(wanted, rel=1e-6)

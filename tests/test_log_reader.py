@@ -195,8 +195,8 @@ def test_a_window_holds_few_samples_of_a_slow_signal():
 
 
 @pytest.mark.skipif(not shutil.which("node"), reason="needs Node (apt-get install nodejs)")
-def test_node_says_the_same(page, command, logs):
-    for name in (DATAFLASH, ULOG, "damaged.bin"):
+def test_node_says_the_same(page, command, logs, amount):
+    for name in amount((ULOG, "damaged.bin"), (DATAFLASH, ULOG, "damaged.bin")):
         done = subprocess.run(["node", page / "rotorwatch.mjs", logs / name], capture_output=True, text=True)
         native = subprocess.run([command, logs / name], capture_output=True, text=True)
         assert done.returncode == native.returncode, done.stderr

@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rotorwatch
-from conftest import hexa_diagnosis, hexa_event
+from conftest import hexa_diagnosis, hexa_event, trials
 from rotorwatch import report
 from rotorwatch.commands import cli
 from rotorwatch.errors import ConfigError
@@ -189,7 +189,7 @@ def test_only_who_asks_is_identified():
     assert "2026-11-21 07:40:36 UTC" in utc.to_markdown(identify=True) and "2026" not in utc.to_markdown()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=trials(30), deadline=None)
 @given(st.integers(0, 60), st.integers(0, 3000), st.sampled_from(["x", "&", "`", "| ", "\u202e", "ä<"]))
 def test_a_post_is_bounded(events, letters, sign):
     many = tuple(hexa_event(onset_s=float(k), detected_s=k + 0.5, reason=sign * letters) for k in range(events))

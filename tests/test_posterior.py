@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.plain import array, copied, filled, plant, room
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.engine.bindings.program import square
 from rotorwatch.engine.estimator.estimator_sizes import PLACES
@@ -125,7 +126,7 @@ def test_a_young_explanation_has_a_second_to_recover():
 
 
 @given(st.lists(st.floats(-6.0, 6.0), min_size=3, max_size=3), st.integers(0, 5), st.integers(0, 7))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 def test_the_best_leads_once_it_is_far_enough_ahead_and_nothing_is_lost(others, seed, absent):
     """Every part moves with its explanation, the former leader takes the place of the new one, and the leader weighs 0."""
     weights = np.array([0.0, *[NEVER if absent >> i & 1 else w for i, w in enumerate(others)]])
@@ -146,7 +147,7 @@ def test_the_best_leads_once_it_is_far_enough_ahead_and_nothing_is_lost(others, 
 
 
 @given(st.lists(st.floats(OUT, CLEAR), min_size=3, max_size=3), st.integers(0, 7))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 def test_shares_are_probabilities_of_what_is_left(others, absent):
     weights = np.array([0.0, *[NEVER if absent >> i & 1 else w for i, w in enumerate(others)]])
     p = shares(some(weights))

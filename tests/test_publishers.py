@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch.logs import px4_outputs
 
 STEP = 10.0  # us
@@ -45,7 +46,7 @@ def test_two_that_both_move_leave_a_doubt():
     assert len(found) == 2 and px4_outputs.flown(values, found) is None
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=trials(30), deadline=None)
 @given(seed=st.integers(0, 1000), noise=st.floats(0.0, 120.0), cut=st.integers(50, 350), to=st.floats(900.0, 2000.0))
 def test_a_single_publisher_is_never_split(seed, noise, cut, to):
     """Noisy outputs that jump from sample to sample, and one that is switched off or held in flight."""

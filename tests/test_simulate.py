@@ -355,7 +355,7 @@ mixed = jax.jit(control.mix)
 
 
 @given(thrust=st.floats(0, 1), expo=st.sampled_from([0.0, 0.3, 0.65, 1.0]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=trials(40), deadline=None)
 def test_drive_inverts_the_thrust_curve(thrust, expo):
     assert float(dynamics.thrust_share(expo, control.drive(expo, thrust))) == pytest.approx(thrust, abs=2e-6)
 

@@ -47,6 +47,7 @@ def lost(diagnosis):
     return next(e for e in diagnosis.events if e.kind == LOST)
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("hz", [20.0, 10.0])
 @pytest.mark.parametrize("losses", [ONE, THEN_OPPOSITE, AT_ONCE])
 def test_every_rotor_that_went_off_is_named_and_nobody_else(losses, hz):

@@ -336,6 +336,7 @@ def test_a_descent_that_was_asked_for_is_no_loss_of_control(number):
     assert diagnosis.verdict == "fault"
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("number", [400, 3848, 4760])
 def test_a_loss_that_had_become_trim_is_not_said_to_be_no_rotor(number):
     """Quads that lost 26 to 51 % of a rotor in wind, hard against any explanation but that, flew on, and left control seconds later."""

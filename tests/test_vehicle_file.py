@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.errors import VehicleError
 from rotorwatch.flight import vehicle_file
@@ -43,7 +44,7 @@ def same(one: Vehicle, other: Vehicle) -> bool:
     return mixers and all(getattr(one, k) == getattr(other, k) for k in plain)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=trials(60), deadline=None)
 @given(vehicles())
 def test_what_is_written_is_read_back(tmp_path_factory, vehicle):
     path = tmp_path_factory.mktemp("vehicle") / "v.toml"

@@ -84,7 +84,7 @@ def last_words(alerts):
     return sorted(events, key=lambda e: (e["detected_s"], e["kind"], e["rotors"]))
 
 
-@pytest.mark.thorough(keep=6)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", LOGS)
 def test_a_log_replayed_gives_the_events_of_diagnose(name):
     flight = flight_of(name)
