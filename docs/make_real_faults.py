@@ -116,8 +116,8 @@ CAUSES = """
   `healthy` within a bound, which is above the loss. Those of 25 mm are `ambiguous`, rotor 1 first.
 - Cuts of 10 mm: a tenth less of rotor 1 moves the balance of roll, pitch and yaw by 0.03 of an arm length each. Flights with good
   propellers differ by 0.06 in pitch; in straight lines the cut ones differ from them by 0.07 in pitch and 0.06 in yaw, the other way.
-- OpenHA: the end of the first loss is found when the flight is over. In flight it is taken for a torque from outside: commands fall faster
-  than the motors, and the end seems larger than the loss.
+- OpenHA: in flight the end of the first loss is found 3 s late. At first it looks like a torque from outside: commands fall faster than the
+  motors, and the end seems larger than the loss.
 - The rotors switched off: 10 Hz of commands, and seconds of flight before it; where a healthy rotor is accused, two more were switched off.
 - A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty.
 - Prototypes (erlerobot/logs), six alarms: one vehicle turns over out of a hover, as with a rotor stuck; two shake on a bench; one sinks at
