@@ -118,8 +118,8 @@ CAUSES = """
   `healthy` within a bound, which is above the loss. Those of 25 mm are `ambiguous`, rotor 1 first.
 - Cuts of 10 mm: a tenth less of rotor 1 moves the balance of roll, pitch and yaw by 0.03 of an arm length each. Flights with good
   propellers differ by 0.06 in pitch; in straight lines the cut ones differ from them by 0.07 in pitch and 0.06 in yaw, the other way.
-- OpenHA: the end of the first loss is found when the flight is over. In flight it is taken for a torque from outside: commands fall faster
-  than the motors, and the end seems larger than the loss.
+- OpenHA: in flight the end of the first loss is found 3 s late. At first it looks like a torque from outside: commands fall faster than the
+  motors, and the end seems larger than the loss.
 - Rotors switched off, 10 Hz of commands: later ones are told from within 0.13 s of the switch, one 2 s late; one is missed, in a flight of
   which the notes say that three rotors were off and kept turning at idle.
 - A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty: it yaws the vehicle as much as it rolls it,

@@ -11,7 +11,7 @@ from rotorwatch.engine.estimator import announcement
 from rotorwatch.engine.estimator.announcement import ABSORB_S, EDGE, RECOVERS_S, TICKS, Alarm
 from rotorwatch.engine.estimator.hypotheses import CLEAR, PAIR, PAIR_WEIGHT, RECOVERY, SINGLE, STUCK_WEIGHT
 from rotorwatch.engine.estimator.noise import MEMORY_S
-from rotorwatch.engine.estimator.plant import USUAL_S, Plant
+from rotorwatch.engine.estimator.plant import BURST_S, USUAL_S, Plant
 from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
 N, DT, LIMIT, REACH = 4, 0.05, 14.0, 64.0
@@ -61,8 +61,10 @@ def test_a_fault_over_the_threshold_at_two_ticks_in_a_row_is_announced(dt):
 
 @pytest.mark.parametrize("dt", [0.05, 0.1, 1.0])
 def test_a_recovery_has_to_last_until_commands_have_answered(dt):
-    sure = dict(fault=LIMIT + CERTAIN_NATS + 10.0, weak=True)
-    assert ticks_until_alarm(dt, kind=RECOVERY, **sure) == max(TICKS, round(RECOVERS_S / dt)) and ticks_until_alarm(dt, **sure) == TICKS
+    """Unless no disturbance comes near it."""
+    doubtful, sure = (dict(fault=LIMIT + CERTAIN_NATS + more, weak=True) for more in (-1.0, 1.0))
+    assert ticks_until_alarm(dt, kind=RECOVERY, **doubtful) == max(TICKS, round(RECOVERS_S / dt))
+    assert ticks_until_alarm(dt, kind=RECOVERY, **sure) == ticks_until_alarm(dt, **doubtful) == TICKS
 
 
 @pytest.mark.parametrize("weak", [False, True])
@@ -107,7 +109,7 @@ def test_what_a_gate_refuses_is_announced_where_no_disturbance_comes_near(refuse
 
 def ticks_until_absorbed(**more):
     said = None
-    for k in range(1, 60):
+    for k in range(1, 90):
         said = decide(said, **more)
         if said.absorbed:
             assert said.sure_s == 0.0
@@ -124,7 +126,9 @@ def test_what_has_certainly_happened_for_a_second_is_absorbed():
     assert ticks_until_absorbed(other=20.0, fault=20.0 - UNDECIDED - 0.1) is not None
     assert ticks_until_absorbed(other=20.0, fault=20.0 - UNDECIDED + 0.1) is None
     assert ticks_until_absorbed(other=20.0, fault=20.0, weak=True) is not None
-    assert ticks_until_absorbed(other=-9.0, fault=CERTAIN_NATS + 0.1, weak=True, missing=False) is not None
+    refused = dict(other=-9.0, fault=CERTAIN_NATS + 0.1, weak=True, missing=False)
+    assert ticks_until_absorbed(**refused) in (second, second + 1)
+    assert ticks_until_absorbed(**refused, kind=RECOVERY) in (round(BURST_S / DT), round(BURST_S / DT) + 1)  # it may still become clear
     assert ticks_until_absorbed(**sure, judge=False) is None
     standing = filled(made(Alarm, limit=LIMIT), above=9, sure_s=9.0)
     assert not decide(standing, fault=90.0, weak=True).absorbed  # announced instead

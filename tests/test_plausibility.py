@@ -117,8 +117,8 @@ def test_thrust_that_rotors_no_longer_give_is_missing(rough, slack):
 @pytest.mark.parametrize("still", [True, False])
 @pytest.mark.parametrize("carries", [0.97, 0.8])
 def test_no_rotor_is_lost_while_the_ground_carries_a_part(carries, still):
-    """Commanded less than carries the vehicle, which neither climbs nor sinks. A rotor stuck at much thrust makes it climb first; the end of
-    a loss needs less thrust, too."""
+    """Commanded less than carries the vehicle, which neither climbs nor sinks. A rotor stuck at much thrust makes it climb first. The end
+    of a loss needs less thrust, too."""
     now, gear = made(Missing), made(Inputs, load=float(N), valid=np.ones(4, bool), still=still, full=9.0)
     for thrust in (1.0,) * 30 + (carries,) * 10:
         now.follow(P, gear, N * (thrust - 1.0))

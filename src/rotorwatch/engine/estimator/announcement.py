@@ -14,7 +14,7 @@ from rotorwatch.engine.estimator.bank import Bank
 from rotorwatch.engine.estimator.evidence import Best, Evidence
 from rotorwatch.engine.estimator.hypotheses import CLEAR, ONE_THRUST, PAIR, RECOVERY, pair_count, weight_of
 from rotorwatch.engine.estimator.noise import MEMORY_S
-from rotorwatch.engine.estimator.plant import ANSWER_S, USUAL_S, Plant
+from rotorwatch.engine.estimator.plant import ANSWER_S, BURST_S, USUAL_S, Plant
 from rotorwatch.engine.estimator.plausibility import Plausible
 from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_S
 
@@ -24,7 +24,7 @@ from rotorwatch.engine.events.decisions import CERTAIN_NATS, FALSE_ALARM_PERIOD_
 # 95 % interval 7.5 to 12.0), 75 of 1025 with 4 nats less; a factor of 1, a threshold 1.9 nats higher, would still let 65 pass.
 GATES = 0.15
 TICKS = 2  # in a row for which all conditions hold
-RECOVERS_S = ANSWER_S  # for which they hold for a recovery: quick commands of a manoeuvre look like one until they are answered
+RECOVERS_S = ANSWER_S  # for which they hold for a recovery that is not certain: a manoeuvre's quick commands look like one until answered
 EDGE = 0.9  # of the bank's reach
 ABSORB_S = 1.0
 
@@ -61,12 +61,13 @@ class Alarm(Struct):
         sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.gives <= 0.0
         self.possible = may.missing and not pushed and ((may.asked and best.since < EDGE * bank.reach) or sure)
         self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
-        lasts = RECOVERS_S if best.kind == RECOVERY else 0.0
+        lasts = RECOVERS_S if best.kind == RECOVERY and not sure else 0.0
         self.alarm = real(self.above) > max(lasts / p.dt, real(TICKS)) - 0.5
         # A certain change is absorbed, whatever its cause, once a rotor is known to be weak; before that only if it is no fault.
         certain = max(found.other, found.fault) > CERTAIN_NATS and (found.other > found.fault + CLEAR or weak)
         self.sure_s = self.sure_s + p.dt if judge and not self.alarm and certain else 0.0
-        self.absorbed = self.sure_s >= ABSORB_S
+        # The end of a loss, at first, is commands that fall faster than the motors follow, which no recovery explains but any disturbance.
+        self.absorbed = self.sure_s >= (BURST_S if weak and best.kind == RECOVERY else ABSORB_S)
         if self.absorbed:
             self.sure_s = 0.0
         if self.alarm:
