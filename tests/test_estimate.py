@@ -34,6 +34,11 @@ def found():
     return rw.estimate(FAULTY, NAMES)
 
 
+@functools.cache
+def by_ekf():
+    return rw.diagnose(FAULTY, estimator="ekf")
+
+
 def called(*arguments):
     done = CliRunner().invoke(cli.cli, ["estimate", *map(str, arguments)])
     return done if done.exception is None or isinstance(done.exception, SystemExit) else str(done.exception)
@@ -181,7 +186,7 @@ def test_a_log_without_a_flight_is_refused():
 
 
 def test_diagnose_names_the_method_and_shows_its_own_estimate():
-    found = rw.diagnose(FAULTY, estimator="ekf")
+    found = by_ekf()
     event = found.events[found.main]
     assert found.headline.startswith("ekf: ") and "ekf itself estimated" in found.headline and "by its covariance" in found.headline
     low, high = event.extra["own_interval"][0]
@@ -198,7 +203,7 @@ def test_the_report_of_another_method_says_who_found_it():
     from rotorwatch.report.sections import other_checks, rotor_table
 
     pytest.importorskip("bokeh")
-    found = rw.diagnose(FAULTY, estimator="ekf")
+    found = by_ekf()
     assert other_checks.rows(found)[0][0] == "ekf" and "decision stage common to all methods" in rotor_table.scope(found)
     text = html.page(found)
     assert "ekf itself" in text and 'id="plot-own_loss"' in text and "1.96 standard deviations of ekf" in text

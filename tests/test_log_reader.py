@@ -22,7 +22,7 @@ from rotorwatch.export import export_log_reader as exporter
 from rotorwatch_lab.simulation import scenario, simulate
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-ffp-contract=off")
-SANITIZED = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZED = ("-g", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 PX4 = {
     "autopilot": "px4", "duration_s": 40.0, "airframe": {"frame": "quad-x"}, "trajectory": {"kind": "hover", "altitude_m": 5.0},
     "faults": [{"kind": "loss", "rotor": 3, "onset_s": 25.0, "strength": 0.4}],

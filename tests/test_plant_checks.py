@@ -68,7 +68,7 @@ def test_a_missing_part_is_named(name):
         METHODS[name](Bare(), 0.05)
 
 
-@pytest.mark.thorough(keep=8)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", METHODS)
 def test_a_plant_needs_no_name(name):
     METHODS[name](Nameless(), 0.05)

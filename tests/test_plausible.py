@@ -351,6 +351,7 @@ def clean_answer():
     return diagnose(flight_in_memory(), QUAD)
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("name", ["motors", "gyro", "accel", "velocity", "battery"])
 @pytest.mark.parametrize("wrong", [1e300, -1e300, np.inf, np.nan])
 def test_one_value_that_cannot_be_changes_no_answer_of_a_flight_in_memory(name, wrong):

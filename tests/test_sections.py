@@ -1,6 +1,7 @@
 """Report sections: found without a list, shown by every view, and those of other packages, which may fail."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -64,14 +65,14 @@ def test_its_plot_shares_the_time_axis(package, example, fault):  # noqa: F811
 def test_one_that_fails_is_left_out_with_a_warning(package, fault, part, source):  # noqa: F811
     package({"rotorwatch.sections": {"odd": "elsewhere"}}, f"name, title, order = 'odd', 'Odd one', 1\n{source}\n")
     with pytest.warns(PluginWarning, match=f"report section odd of the package elsewhere 1.2 .* its {part} failed"):
-        page = html.page(fault)
+        page = html.page(fault if part == "plot" else replace(fault, trace=None))  # pages without plots are made faster
     assert "Odd one" not in page and "Detections by method" in page
 
 
 def test_a_name_of_ours_stays_ours(package, fault):  # noqa: F811
     package({"rotorwatch.sections": {"checks": "elsewhere"}}, "name, title, order = 'checks', 'x', 1\ndata = str\n")
     with pytest.warns(PluginWarning, match="its name is taken"):
-        assert "Detections by method" in html.page(fault)
+        assert "Detections by method" in html.page(replace(fault, trace=None))
 
 
 def test_every_view_renders_every_block_and_no_text_is_markup(package):  # noqa: F811

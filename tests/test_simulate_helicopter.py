@@ -226,7 +226,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.thorough(keep=8)
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("kind", FAULTS)
 @pytest.mark.parametrize("k", range(4))
 def test_faults_are_the_plants(kind, k):
