@@ -21,8 +21,8 @@ from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.motion.air_spans import airborne
-from rotorwatch.engine.motion.tick_table import JUDGE, READY_S
-from rotorwatch.witnesses.aerobatic import judge
+from rotorwatch.engine.motion.tick_table import ASSESS, READY_S
+from rotorwatch.witnesses.aerobatic import assess
 from rotorwatch.witnesses.aerobatic.response import respond
 from rotorwatch_lab.experiments.inject import inject
 
@@ -30,38 +30,38 @@ LOSSES, MOMENTS, PIECE, HOURS = (0.1, 0.2, 0.3, 0.5), (0.3, 0.5, 0.7), 10, 5.0
 
 
 def found(flight, vehicle, air):
-    """(events, seconds that were judged) of a flight."""
+    """(events, seconds that were assessed) of a flight."""
     ticks = observe(flight, vehicle, air, READY_S)
     assert ticks is not None
-    table, out = judge.estimate(flight, vehicle, air, ticks)
-    return event_rows.read(out, table, vehicle.effectiveness()), float((table.mode == JUDGE).sum() * table.dt)
+    table, out = assess.estimate(flight, vehicle, air, ticks)
+    return event_rows.read(out, table, vehicle.effectiveness()), float((table.mode == ASSESS).sum() * table.dt)
 
 
-def surrogate(known: judge.Blocks, rng: np.random.Generator) -> judge.Blocks:
+def surrogate(known: assess.Blocks, rng: np.random.Generator) -> assess.Blocks:
     """The blocks of a flight in another order."""
     pieces = np.array_split(np.arange(len(known.end)), max(1, len(known.end) // PIECE))
     order = np.concatenate([pieces[k] for k in rng.permutation(len(pieces))])
     middle = np.median(known.missing, axis=0)
     turned = np.concatenate([np.tile(rng.choice([-1.0, 1.0], 3), (len(pieces[k]), 1)) for k in range(len(pieces))])
-    return judge.Blocks(known.start, known.end, middle + turned * (known.missing[order] - middle), known.thrust[order])
+    return assess.Blocks(known.start, known.end, middle + turned * (known.missing[order] - middle), known.thrust[order])
 
 
-def alarmed(known: judge.Blocks, B: np.ndarray) -> bool:
+def alarmed(known: assess.Blocks, B: np.ndarray) -> bool:
     """Whether anything is announced in these blocks."""
-    variance = judge.scatter(known)
-    for k in range(judge.LEARN, len(known.end)):
-        if judge.examine(judge.Blocks(*(x[: k + 1] for x in known)), B, variance, []).statistic > 0.0:
+    variance = assess.scatter(known)
+    for k in range(assess.LEARN, len(known.end)):
+        if assess.examine(assess.Blocks(*(x[: k + 1] for x in known)), B, variance, []).statistic > 0.0:
             return True
     return False
 
 
-def bound_s(known: judge.Blocks, B: np.ndarray, loss: float) -> float:
+def bound_s(known: assess.Blocks, B: np.ndarray, loss: float) -> float:
     """Seconds until a loss is seen in 95 of 100, at best."""
     z, T = known.missing, known.thrust
-    precision = judge._precision(z, judge.scatter(known))
+    precision = assess._precision(z, assess.scatter(known))
     per_block = np.mean([(precision * (B[:3, i] * T[:, i : i + 1] * loss) ** 2).sum(axis=1).mean() for i in range(T.shape[1])])
-    limit = np.sqrt(2.0 * np.log(FALSE_ALARM_PERIOD_S / judge.BLOCK_S * T.shape[1]))
-    return float((limit + NormalDist().inv_cdf(0.95)) ** 2 / per_block * judge.BLOCK_S)
+    limit = np.sqrt(2.0 * np.log(FALSE_ALARM_PERIOD_S / assess.BLOCK_S * T.shape[1]))
+    return float((limit + NormalDist().inv_cdf(0.95)) ** 2 / per_block * assess.BLOCK_S)
 
 
 def main() -> None:
@@ -72,17 +72,17 @@ def main() -> None:
         flight = rw.read(path)
         vehicle, air = airframes.identify(flight), airborne(flight)
         seen = respond(flight, vehicle, air) if air else None
-        if seen is None or len((known := judge.blocks(seen, air)).end) < 2 * judge.LEARN:
+        if seen is None or len((known := assess.blocks(seen, air)).end) < 2 * assess.LEARN:
             continue
-        announced, judged = found(flight, vehicle, air)
+        announced, assessed = found(flight, vehicle, air)
         B = vehicle.effectiveness()
         false, flown = 0, 0.0
         while flown < HOURS * 3600.0 / 5:
             false += alarmed(surrogate(known, rng), B)
-            flown += (len(known.end) - judge.LEARN) * judge.BLOCK_S
+            flown += (len(known.end) - assess.LEARN) * assess.BLOCK_S
         hours, alarms = hours + flown / 3600.0, alarms + false
         print(
-            f"{flight.name}: {judged:.0f} s judged, {len(announced)} announced; surrogates {false} in {flown / 3600:.1f} h; "
+            f"{flight.name}: {assessed:.0f} s assessed, {len(announced)} announced; surrogates {false} in {flown / 3600:.1f} h; "
             f"lag {1e3 * seen.lag_s:.0f} ms; 20 % at best within {bound_s(known, B, 0.2):.0f} s", flush=True,
         )  # fmt: skip
         for loss in LOSSES:

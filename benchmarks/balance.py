@@ -77,7 +77,7 @@ def flown(seed: int, loss: float) -> tuple[Flight, int]:
     return simulate(scenario.from_table(table)).flight, rotor
 
 
-def told(task: tuple[int, float]) -> tuple[str, str, str]:
+def reported(task: tuple[int, float]) -> tuple[str, str, str]:
     """What the answer says, with the witness and without it, and what the witness's notice says."""
     flight, rotor = flown(*task)
 
@@ -129,7 +129,7 @@ def main() -> None:
             counted = Counter(pool.map(one, tasks, chunksize=8))
             print(f"{case}: {dict(counted)} in {count} flights, {count * DURATION_S / 3600.0:.1f} h", flush=True)
         for loss in (0.05, 0.1, 0.0) if given.closed else ():
-            answers = list(pool.map(told, [(seed, loss) for seed in range(given.closed)]))
+            answers = list(pool.map(reported, [(seed, loss) for seed in range(given.closed)]))
             for name, column in zip(("loss, with balance", "loss, without", "notice"), zip(*answers, strict=True)):
                 print(f"closed loop, {100 * loss:.0f} %, {name}: {dict(Counter(column))}", flush=True)
         if given.real:

@@ -61,13 +61,13 @@ def vehicles(folder: Path) -> dict[str, list[dict]]:
     return dict(found)
 
 
-def judged(flight: Candidate, baseline) -> whole_flight.WholeFlight | None:
+def assessed(flight: Candidate, baseline) -> whole_flight.WholeFlight | None:
     """As `diagnose` compares whole flights; None where it refuses the baseline."""
     try:
         accepted, _ = healthy(baseline, diagnose, None, flight)
     except VehicleError:
         return None
-    return whole_flight.judge(flight.features, [one.features for one in accepted], flight.vehicle)
+    return whole_flight.assess(flight.features, [one.features for one in accepted], flight.vehicle)
 
 
 def outcome(found: whole_flight.WholeFlight | None, damaged: tuple[int, ...]) -> str:
@@ -100,7 +100,7 @@ def main() -> int:
             for baseline, row in itertools.product(chosen, rows):
                 if row in baseline:
                     continue
-                found = judged(row["flight"], [b["flight"] for b in baseline])
+                found = assessed(row["flight"], [b["flight"] for b in baseline])
                 cases.append((vehicle, size, all(b["uncut"] for b in baseline), row, baseline, found))
     counts, flights = Counter(), defaultdict(Counter)
     for vehicle, size, uncut, row, _, found in cases:

@@ -47,7 +47,7 @@ def main() -> None:
     for frame in FRAMES:
         plan, rows = Beside(frame), []
         for cell in range(len(plan.cells)):
-            rows += sequences.judged(plan, batch.fly(plan, range(cell, count, len(plan.cells)), sequences.WIDTH))
+            rows += sequences.assessed(plan, batch.fly(plan, range(cell, count, len(plan.cells)), sequences.WIDTH))
         for weak in range(3):
             outcomes = Counter(row["outcome"] for row in rows if len(row["truth"]) == weak)
             print(frame, f"{weak} weak:", ", ".join(f"{outcomes[o]} {o}" for o in sequences.OUTCOMES), flush=True)

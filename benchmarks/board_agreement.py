@@ -46,12 +46,12 @@ static void put(double *to, const rw_event *e)
     to[6] = (double)e->lower[0]; to[7] = (double)e->upper[0]; to[8] = (double)e->size; to[9] = e->alternative_count;
     to[10] = (double)e->loss[1];
 }
-int drive(int rows, const double *table, double until, double every, double *found, double *news, int most, int *told);
-int drive(int rows, const double *table, double until, double every, double *found, double *news, int most, int *told)
+int drive(int rows, const double *table, double until, double every, double *found, double *news, int most, int *reported);
+int drive(int rows, const double *table, double until, double every, double *found, double *news, int most, int *reported)
 {
     double due = table[1];
     const rw_event *events;
-    *told = 0;
+    *reported = 0;
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
     for (int i = 0; i <= rows; i++) {
         if (i < rows) feed_row(table + (long)i * WIDTH);
@@ -60,8 +60,8 @@ int drive(int rows, const double *table, double until, double every, double *fou
         if (now < due && i < rows) continue;
         due = now + every;
         const int count = rw_diagnoser_poll(&d, notifications);
-        for (int k = 0; k < count && *told < most; k++) {
-            double *row = news + (long)(*told)++ * WIDTH;
+        for (int k = 0; k < count && *reported < most; k++) {
+            double *row = news + (long)(*reported)++ * WIDTH;
             row[0] = now; row[1] = notifications[k].number; row[2] = notifications[k].kind;
             put(row + 3, notifications[k].event);
         }
@@ -115,21 +115,21 @@ def library(what: onboard_law.Flown, folder: Path) -> ctypes.CDLL:
 def fly(what: onboard_law.Flown, folder: Path) -> tuple[list[One], np.ndarray]:
     """(the events at the end, changes as rows: time, number, what, event)."""
     samples = np.ascontiguousarray(what.table)
-    found, news, told = np.zeros((MOST, onboard_law.WIDTH)), np.zeros((NEWS, onboard_law.WIDTH)), ctypes.c_int()
+    found, news, reported = np.zeros((MOST, onboard_law.WIDTH)), np.zeros((NEWS, onboard_law.WIDTH)), ctypes.c_int()
     pointers = [a.ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for a in (samples, found, news)]
     until, every = ctypes.c_double(what.until), ctypes.c_double(1.0 / EVERY)
-    count = library(what, folder).drive(len(samples), pointers[0], until, every, *pointers[1:], NEWS, ctypes.byref(told))
+    count = library(what, folder).drive(len(samples), pointers[0], until, every, *pointers[1:], NEWS, ctypes.byref(reported))
     events = [_one(row) for row in found[:count]]
-    return [e for e in events if e.kind in board.ACCUSING], news[: told.value]
+    return [e for e in events if e.kind in board.ACCUSING], news[: reported.value]
 
 
 def _one(row: np.ndarray) -> One:
     return One(int(row[0]), int(row[4]), row[1], row[3], float(row[8] if row[0] == 0 and row[8] > 0 else row[5]), bool(row[9]))
 
 
-def of_desk(told: Diagnosis) -> list[One]:
+def of_desk(reported: Diagnosis) -> list[One]:
     """The events of `diagnose`, of the kinds that a board knows."""
-    events = [e for e in told.events if e.kind in board.KINDS and board.KINDS[e.kind] in board.ACCUSING]
+    events = [e for e in reported.events if e.kind in board.KINDS and board.KINDS[e.kind] in board.ACCUSING]
     return [
         One(
             board.KINDS[e.kind], board.mask(e.rotors), e.onset_s, LASTS if e.end_s is None else e.end_s,
@@ -158,20 +158,20 @@ def compared(desk: list[One], found: list[One]) -> list[str]:
     return said + [f"extra: {b}" for b in left]
 
 
-def reason(told: Diagnosis) -> str:
+def reason(reported: Diagnosis) -> str:
     """What `diagnose` alone knows of such a flight."""
-    kinds = {e.kind for e in told.events}
-    if told.doubts:
+    kinds = {e.kind for e in reported.events}
+    if reported.doubts:
         return "the log contradicts itself"
     if "loss_of_control" in kinds:
         return "control is lost"
-    if any(not e.extra.get("live", True) for e in told.events if e.kind in board.KINDS):
+    if any(not e.extra.get("live", True) for e in reported.events if e.kind in board.KINDS):
         return "evidence of the whole flight"
     return "-"
 
 
 def rows(given: list[Path], hz: float, folder: Path):
-    """(name, reason, differences, number of withdrawals, what was withdrawn) of each flight that both can judge."""
+    """(name, reason, differences, number of withdrawals, what was withdrawn) of each flight that both can assess."""
     found = [p for one in given for p in (sorted(one.rglob("*")) if one.is_dir() else [one])]
     for path in found:
         if not path.is_file() or not path.name.removesuffix(".xz").endswith((".bin", ".ulg", ".csv")) or "truth" in path.name:
@@ -183,13 +183,13 @@ def rows(given: list[Path], hz: float, folder: Path):
             what = onboard_law.on_board(flight, hz, vehicle)
             if what.dt > 0.251:
                 continue
-            told = diagnose(flight, vehicle=vehicle)
+            reported = diagnose(flight, vehicle=vehicle)
         except (RotorwatchError, IndexError, KeyError, ValueError, AttributeError) as why:
             print(f"{path.name}: {str(why)[:100]}", file=sys.stderr)
             continue
         events, news = fly(what, folder)
         gone = [row for row in news if row[2] == 2 and row[3] in board.ACCUSING]
-        yield path.name, reason(told), compared(of_desk(told), events), [f"{row[0]:.1f}: {_one(row[3:])}" for row in gone]
+        yield path.name, reason(reported), compared(of_desk(reported), events), [f"{row[0]:.1f}: {_one(row[3:])}" for row in gone]
 
 
 def main() -> None:

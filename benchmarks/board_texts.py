@@ -35,7 +35,7 @@ def rows(given: list[Path]):
         try:
             flight = logs.read(path)
             name, what = board.autopilot_of(flight), board.shown(flight)
-            told = diagnose(flight)
+            reported = diagnose(flight)
         except (RotorwatchError, board.TooFew, IndexError, KeyError, ValueError) as why:
             print(f"{path.name}: {str(why)[:100]}", file=sys.stderr)
             continue
@@ -44,8 +44,8 @@ def rows(given: list[Path]):
             flown = board.fly(board.build(name, library, Path(made)), what.table, Path(made))
         times = [time for time, *_ in flown.texts]
         apart = float(np.diff(times).min()) if len(times) > 1 else np.inf
-        whole = any(e.kind == "loss_of_control" for e in told.events) or bool(told.doubts)
-        differs = ["judged after the flight"] if whole else board.differences(told, flown)
+        whole = any(e.kind == "loss_of_control" for e in reported.events) or bool(reported.doubts)
+        differs = ["assessed after the flight"] if whole else board.differences(reported, flown)
         row = path.name, flight.duration / 60.0, len(flown.records.get("RWEV", [])), flown.texts, apart, differs
         print(row, file=sys.stderr)
         yield row
@@ -59,7 +59,7 @@ def page(found) -> str:
     which = ", ".join(f"{severity[k]} {NAMES[k]}" for k in sorted(severity))
     minutes = [row[1] for row in found]
     apart = min(row[4] for row in found)
-    compared = [row for row in found if row[5] != ["judged after the flight"]]
+    compared = [row for row in found if row[5] != ["assessed after the flight"]]
     same = sum(not row[5] for row in compared)
     lines = [
         f"| texts in the flight | {' | '.join(map(str, counts))} |",

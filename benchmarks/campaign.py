@@ -3,7 +3,7 @@
 On a processor: processor seconds of this process (compiled programs use threads; wall time on a busy machine says little); where
 JAX has an accelerator, which does its work elsewhere: seconds by the clock. After a first run that compiles. Where they go, phase
 by phase, and how they grow: exponents of a power law fitted to the flights of one batch after the other, and to flights of several
-lengths. 1 is linear. At last the simulator alone, in flight-steps a second, in double and single precision. Of a plan that is judged by
+lengths. 1 is linear. At last the simulator alone, in flight-steps a second, in double and single precision. Of a plan that is assessed by
 logs (plans/open.toml) all cells are flown unless one is named, and of each cell fewer flights.
 
     python benchmarks/campaign.py PLAN --ways [--flights N] [--rounds R]
@@ -51,9 +51,9 @@ BY_LOGS = {
     "logs written": (logbook, "log"),
     "logs read": (logs, "from_bytes"),
     "prepared": (open_world, "prepare"),
-    "judged": (Case, "answer"),
+    "assessed": (Case, "answer"),
 }
-FEW = 8  # flights of a cell, of a plan that is judged by logs
+FEW = 8  # flights of a cell, of a plan that is assessed by logs
 COMMAND = [sys.executable, "-m", "rotorwatch", "campaign"]
 WAYS = {"one process": 1, "two processes": 2, "one Dask worker": 1, "two Dask workers": 2}
 
@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=2, help="of these; their median counts")
     options = parser.parse_args()
     plan = campaign.read(options.plan)
-    width, by_logs = batch.width(), plan.judge == "log"
+    width, by_logs = batch.width(), plan.assess == "log"
     if options.ways:
         ways(options.plan, options.flights or 2 * FEW * len(plan.cells), options.rounds)
         return
@@ -81,8 +81,8 @@ def main() -> None:
 
     least, each = FEW if by_logs else width, len(cells)
     counts = [n for n in (least, 2 * least, 4 * least) if n <= (options.flights or 4 * least)]
-    judged(plan, cells, least, width)  # compiles
-    spent = [best(lambda n=n: judged(plan, cells, n, width), options.repeats) for n in counts]
+    assessed(plan, cells, least, width)  # compiles
+    spent = [best(lambda n=n: assessed(plan, cells, n, width), options.repeats) for n in counts]
     for n, cost in zip(counts, spent, strict=True):
         print(f"{n * each:6d} flights of {plan.scenario['duration_s']:g} s: {cost:7.2f} s, {cost / n / each:.4f} s a flight")
     if len(counts) > 1:
@@ -93,8 +93,8 @@ def main() -> None:
     for seconds in options.seconds:
         longer = replace(plan, scenario={**plan.scenario, "duration_s": seconds})
         longer = replace(longer, kinds=tuple(k._replace(scenario={**k.scenario, "duration_s": seconds}) for k in plan.kinds))
-        judged(longer, cells, least, width)
-        costs.append(best(lambda p=longer: judged(p, cells, least, width), options.repeats))
+        assessed(longer, cells, least, width)
+        costs.append(best(lambda p=longer: assessed(p, cells, least, width), options.repeats))
         print(f"{least * each:6d} flights of {seconds:g} s: {costs[-1]:7.2f} s, {costs[-1] / least / each:.4f} s a flight")
     if len(costs) > 1:
         print(f"grows with their length to the power of {exponent(options.seconds, costs):.2f}")
@@ -184,13 +184,13 @@ def clock() -> float:
     return time.process_time() if load_jax().default_backend() == "cpu" else time.perf_counter()
 
 
-def judged(plan: Plan, cells: Sequence[int], flights: int, width: int) -> None:
-    """Fly and judge the cells' first flights, batch by batch, as a campaign does in one process."""
-    judge = open_world.judge if plan.judge == "log" else batch.judge
+def assessed(plan: Plan, cells: Sequence[int], flights: int, width: int) -> None:
+    """Fly and assess the cells' first flights, batch by batch, as a campaign does in one process."""
+    assess = open_world.assess if plan.assess == "log" else batch.assess
     for cell in cells:
         for start in range(0, flights, width):
             places = range(start, min(start + width, flights))
-            judge(plan, [cell + len(plan.cells) * k for k in places], width)
+            assess(plan, [cell + len(plan.cells) * k for k in places], width)
 
 
 def best(run: Callable[[], None], repeats: int) -> float:
@@ -239,7 +239,7 @@ def phases(plan: Plan, cells: Sequence[int], flights: int, width: int, parts: di
         for text, (module, name) in parts.items():
             setattr(module, name, timed(text, originals[text]))
         began = clock()
-        judged(plan, cells, flights, width)
+        assessed(plan, cells, flights, width)
         whole = clock() - began
     finally:
         for text, (module, name) in parts.items():

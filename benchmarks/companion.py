@@ -5,7 +5,7 @@
 
 The vehicle sends SERVO_OUTPUT_RAW, ATTITUDE and RAW_IMU at 50 Hz over UDP, from this process. --python: what runs the command; with an
 emulator for another processor its time is the emulator's, not that of such a processor. Counted is the processor's time of the command,
-all its threads, between the first fifth and the end (Linux only), and before: from its start to the first tick that it could judge.
+all its threads, between the first fifth and the end (Linux only), and before: from its start to the first tick that it could assess.
 """
 
 from __future__ import annotations

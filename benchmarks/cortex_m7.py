@@ -60,7 +60,7 @@ DIAGNOSER = """
 #define COUNTED(most, call) do {{ BEGIN; call; took = TOOK; if (took > most) most = took; }} while (0)
 enum {{ HZ = 100, DEEP = 16384 }};
 static rw_diagnoser d;
-static rw_texts told;
+static rw_texts reported;
 static unsigned long since, took, feeds, pieces, landing, polls, texts, said, tick, whole, steady, ticks;
 static rw_real noise(void)
 {{
@@ -92,13 +92,13 @@ static void sample(rw_time t)
 static void work(rw_time t)
 {{
     for (bool more = true; more;) {{
-        const bool judged = d.engine.underway && d.engine.tick.mode == RW_JUDGE;
+        const bool assessed = d.engine.underway && d.engine.tick.mode == RW_ASSESS;
         BEGIN;
         more = rw_diagnoser_work(&d);
         took = TOOK;
         if (t < 139) {{ if (took > pieces) pieces = took; }}
         else if (took > landing) landing = took;
-        if (judged) {{
+        if (assessed) {{
             tick += took;
             if (!d.engine.underway) {{
                 if (tick > whole) whole = tick;
@@ -116,7 +116,7 @@ int main(void)
     unsigned long deep = DEEP;
     rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
     rw_diagnoser_defer(&d);
-    rw_texts_init(&told);
+    rw_texts_init(&reported);
     for (int k = 1; k <= DEEP; ++k) top[-k] = 0xA5;
     SYSTICK[1] = 0xFFFFFF;
     SYSTICK[2] = 0;
@@ -127,7 +127,7 @@ int main(void)
         work(t);
         if (k % 10 == 0) {{
             COUNTED(polls, rw_diagnoser_poll(&d, news));
-            COUNTED(texts, said += rw_diagnoser_text(&d, &told, t, RW_NOTICE, text) > 0);
+            COUNTED(texts, said += rw_diagnoser_text(&d, &reported, t, RW_NOTICE, text) > 0);
         }}
     }}
     if (!said) return 1; /* nothing of all that was found */
@@ -180,7 +180,7 @@ def filters() -> None:
 def diagnoser() -> None:
     """A row for each vehicle and precision."""
     print(
-        "| vehicle | flash, kB | memory, kB | stack, bytes | largest frame | million instructions a judged tick | at most | thousand",
+        "| vehicle | flash, kB | memory, kB | stack, bytes | largest frame | million instructions an assessed tick | at most | thousand",
         end=" ",
     )
     print("of the longest piece | after the landing | of a feed | of a poll and a text |")

@@ -60,10 +60,10 @@ def main() -> None:
     count = parser.parse_args().flights
     print("| fault | who | names it | names another | delay |\n|---|---|---|---|---|")
     for name, fault in FAULTS.items():
-        told = [named(flown(fault, seed)) for seed in range(count)]
-        for who in told[0]:
-            right = [min(t for r, t in one[who] if r == ROTOR) for one in told if any(r == ROTOR for r, _ in one[who])]
-            other = sum(any(r != ROTOR or fault is None for r, _ in one[who]) for one in told)
+        reported = [named(flown(fault, seed)) for seed in range(count)]
+        for who in reported[0]:
+            right = [min(t for r, t in one[who] if r == ROTOR) for one in reported if any(r == ROTOR for r, _ in one[who])]
+            other = sum(any(r != ROTOR or fault is None for r, _ in one[who]) for one in reported)
             hits = "" if fault is None else f"{len(right)} of {count}"
             delay = f"{np.median(right) - ONSET_S:.1f} s" if right and fault is not None else ""
             print(f"| {name} | {who} | {hits} | {other} of {count} | {delay} |", flush=True)

@@ -139,7 +139,7 @@ def real(folder: Path, hours: float) -> None:
     for name, flight in flown(folder):
         vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
         air = airborne(flight)
-        air = upset.until_impact(flight, air, upset.judged(flight, vehicle, air))
+        air = upset.until_impact(flight, air, upset.assessed(flight, vehicle, air))
         seen = channels(flight, vehicle, air)
         if not seen:
             continue

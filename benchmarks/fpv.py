@@ -1,4 +1,4 @@
-"""A campaign of simulated FPV flights (simulation/fpv.py), judged by `rotorwatch.diagnose` (docs/aerobatic.md, "Simulated flights").
+"""A campaign of simulated FPV flights (simulation/fpv.py), assessed by `rotorwatch.diagnose` (docs/aerobatic.md, "Simulated flights").
 
     python benchmarks/fpv.py [--flights 1000] [--healthy-hours 20] [--first 0] [--jobs 2] [--curves]
 
@@ -49,10 +49,10 @@ def batch(number: int, healthy: bool, curves: bool = False) -> list[dict]:
     rpm = bool(number % 2)
     expo = rng.uniform(0.0, 1.0, BATCH).tolist() if curves else fpv.EXPO
     flights = fpv.fly(BATCH, DURATION_S, 10_000 * (1 + healthy) + number, tuple(m for ms in wrong for m in ms), rpm, expo)
-    return [judged(flight, ms, rpm) for flight, ms in zip(flights, wrong)]
+    return [assessed(flight, ms, rpm) for flight, ms in zip(flights, wrong)]
 
 
-def judged(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
+def assessed(flight, wrong: list[fpv.Moment], rpm: bool) -> dict:
     """truth against answer of one flight."""
     answer = diagnose(flight)
     losses = [e for e in answer.events if e.kind == "loss_of_effectiveness"]
@@ -131,13 +131,13 @@ def _rms(values: list[float]) -> float | None:
 
 
 def main() -> None:
-    """Fly, judge, count."""
+    """Fly, assess, count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=1000)
     parser.add_argument("--healthy-hours", type=float, default=20.0)
     parser.add_argument("--first", type=int, default=0, help="number of the first batch: others are other flights")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--curves", action="store_true", help="thrust curves that the judge does not know")
+    parser.add_argument("--curves", action="store_true", help="thrust curves that the assess does not know")
     options = parser.parse_args()
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
         for healthy, count in ((False, options.flights), (True, round(options.healthy_hours * 3600.0 / AIR_S))):

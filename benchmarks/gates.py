@@ -3,9 +3,9 @@
     python benchmarks/gates.py [--flights 2000] [--seed 4977] [--jobs 1] [--keep FOLDER]
 
 Flights of plans/open.toml whose rotors are healthy, each as its log would be. Counted, for thresholds `shift` nats higher than the one in
-use: flights in which the evidence of a fault passes the threshold at a judged tick, and how many of these are announced. Printed with the
-exact 95 % interval of the share (Clopper and Pearson, Biometrika 26, 1934). The last shift is that of a factor of 1. --seed: instead of the
-plan's own. --keep: what is finished; the same call goes on from there.
+use: flights in which the evidence of a fault passes the threshold at an assessed tick, and how many of these are announced. Printed with
+the exact 95 % interval of the share (Clopper and Pearson, Biometrika 26, 1934). The last shift is that of a factor of 1. --seed: instead of
+the plan's own. --keep: what is finished; the same call goes on from there.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from scipy.stats import beta
 
 from rotorwatch.engine.estimator.announcement import GATES
-from rotorwatch.toolkit import JUDGE, program
+from rotorwatch.toolkit import ASSESS, program
 from rotorwatch_lab.campaign import batch
 from rotorwatch_lab.campaign.plan import read
 from rotorwatch_lab.experiments import tools
@@ -28,8 +28,8 @@ OPEN = Path(__file__).resolve().parents[1] / "plans" / "open.toml"
 SHIFTS = (-4.0, -2.0, 0.0, -log(GATES))
 
 
-def judged(part: tuple[int, list[int]]) -> list[tuple[str, float, list[tuple[bool, bool]]]]:
-    """(kind, judged hours, (passed, announced) at each of SHIFTS) of these flights of one cell, with this seed."""
+def assessed(part: tuple[int, list[int]]) -> list[tuple[str, float, list[tuple[bool, bool]]]]:
+    """(kind, assessed hours, (passed, announced) at each of SHIFTS) of these flights of one cell, with this seed."""
     seed, numbers = part
     plan, rows = replace(read(OPEN), seed=seed), []
     for flown in batch.fly(plan, numbers, batch.CPU_WIDTH):
@@ -41,7 +41,7 @@ def judged(part: tuple[int, list[int]]) -> list[tuple[str, float, list[tuple[boo
             raised = passed and bool((out.announced if not shift else false_alarms.announced(table, flown.vehicle, shift)).any())
             found.append((passed, raised))
         kind = plan.kind(flown.number)
-        rows.append((kind.name if kind else "", float((table.mode == JUDGE).sum() * table.dt / 3600.0), found))
+        rows.append((kind.name if kind else "", float((table.mode == ASSESS).sum() * table.dt / 3600.0), found))
     return rows
 
 
@@ -58,9 +58,11 @@ def main() -> None:
         (plan.seed, [k for k in numbers if plan.kind(k).name.startswith("healthy")])  # type: ignore
         for numbers in tools.batches(given.flights, len(plan.cells), batch.CPU_WIDTH)
     ]
-    rows = tools.gathered(judged, [part for part in parts if part[1]], given.jobs, keep=given.keep, progress=lambda s, _: print(f"{s:.1%}"))
+    rows = tools.gathered(
+        assessed, [part for part in parts if part[1]], given.jobs, keep=given.keep, progress=lambda s, _: print(f"{s:.1%}")
+    )
     hours = sum(row[1] for row in rows)
-    print(f"{len(rows)} healthy flights, {hours:.1f} judged hours")
+    print(f"{len(rows)} healthy flights, {hours:.1f} assessed hours")
     lines = []
     for k, shift in enumerate(SHIFTS):
         passed, raised = (sum(row[2][k][j] for row in rows) for j in (0, 1))

@@ -2,11 +2,11 @@
 
 For a wheel, a row each for pip, uv, uvx and `pipx run`, of those that are here. The wheel and what it needs are fetched first, into a
 folder; from it each tool installs with empty caches, without a network and with no compiler in reach, as under `env -i HOME PATH LANG`.
-A sample is then judged twice, and the demo is run. uv and uvx do not compile Python's files as they install: their first verdict pays
+A sample is then assessed twice, and the demo is run. uv and uvx do not compile Python's files as they install: their first verdict pays
 for it. Times are by the clock, with the processor's time in brackets; a busy computer makes the first longer than the second.
 
 A folder of sources is installed by pip with the compiler that is here. Of pip's installations the largest packages are listed, without
-pip and setuptools, which the empty environment has. --clone: it is not installed, but judges from where it lies, as after `git clone`, in
+pip and setuptools, which the empty environment has. --clone: it is not installed, but assesses from where it lies, as after `git clone`, in
 this environment: the first verdict compiles machine code and Python's files; several folders take turns, --rounds times.
 """
 

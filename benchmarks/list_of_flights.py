@@ -24,7 +24,7 @@ HEADLINES = {
     "healthy": "No rotor lost thrust after take-off. Nothing beyond 20 % was wrong from take-off on.",
     "fault": "Rotor 3 (front left) lost 36 % (31 to 42 %) of thrust at 47.55 s.",
     "ambiguous": "Rotor 3 (front left) or rotor 5 (front right) lost thrust at 47.55 s.",
-    "inconclusive": "The flight was too short to judge.",
+    "inconclusive": "The flight was too short to assess.",
 }
 ASKED: dict[str, dict[str, Any]] = {
     "newest first": {},

@@ -31,12 +31,12 @@ ABOUT_MB = 3.5, 4.5
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 NODE = """
 import {{ readFileSync }} from "node:fs";
-import {{ judge }} from "{folder}/rotorwatch.mjs";
+import {{ assess }} from "{folder}/rotorwatch.mjs";
 const module = await WebAssembly.compile(readFileSync("{folder}/rotorwatch.wasm")), data = readFileSync(process.argv[2]);
 const spent = [];
 for (let k = 0; k < 3; k++) {{
   const before = process.cpuUsage();
-  await judge(module, data, "log");
+  await assess(module, data, "log");
   spent.push(process.cpuUsage(before).user / 1e3);
 }}
 console.log(Math.min(...spent));
@@ -80,7 +80,7 @@ def main(folder: Path) -> None:
                 flight = logs.read(path)
                 if flight.format not in FORMATS:
                     continue
-                told = diagnose(flight)
+                reported = diagnose(flight)
                 raw.write_bytes(lzma.decompress(path.read_bytes()) if path.suffix == ".xz" else path.read_bytes())
             except (RotorwatchError, lzma.LZMAError):
                 continue
@@ -89,25 +89,25 @@ def main(folder: Path) -> None:
             if "error" in answer:
                 refused[answer["error"]] += 1
                 continue
-            counts["judged"] += 1
+            counts["assessed"] += 1
             if ABOUT_MB[0] <= raw.stat().st_size / 1e6 <= ABOUT_MB[1]:
                 node = subprocess.run(["node", script, raw], capture_output=True, text=True, check=True).stdout if script else "nan"
                 times.append((min(spent, ran(command, raw)[1]), float(node)))
-            if told.doubts:
+            if reported.doubts:
                 counts["doubted"] += 1
                 continue
-            one, other = ([e for e in events if e["kind"] == LOSS] for events in (answer["events"], told.to_dict()["events"]))
+            one, other = ([e for e in events if e["kind"] == LOSS] for events in (answer["events"], reported.to_dict()["events"]))
             counts["same"] += len(one) == len(other) and all(map(same, one, other))
             counts["both"] += bool(one and other)
             counts["agree"] += any(same(a, b) for a in one for b in other)
             counts["only here"] += bool(one and not other)
             counts["only diagnose"] += bool(other and not one)
             if bool(one) != bool(other) or (one and not any(same(a, b) for a in one for b in other)):
-                print(f"{path.name}: {told.verdict}, {len(other)} losses; here {answer['verdict']}, {len(one)}", file=sys.stderr)
+                print(f"{path.name}: {reported.verdict}, {len(other)} losses; here {answer['verdict']}, {len(one)}", file=sys.stderr)
     rows = [
-        ("logs that `diagnose` judges", counts["diagnose"]),
-        ("of these judged by rotorwatch-c", counts["judged"]),
-        ("of these without a contradiction that `diagnose` finds", counts["judged"] - counts["doubted"]),
+        ("logs that `diagnose` assesses", counts["diagnose"]),
+        ("of these assessed by rotorwatch-c", counts["assessed"]),
+        ("of these without a contradiction that `diagnose` finds", counts["assessed"] - counts["doubted"]),
         ("the same losses, or none in both", counts["same"]),
         ("a loss in both; with the same rotor, onset and size", f"{counts['both']}; {counts['agree']}"),
         ("a loss in rotorwatch-c alone; in `diagnose` alone", f"{counts['only here']}; {counts['only diagnose']}"),

@@ -21,12 +21,12 @@ from rotorwatch import airframes, logs
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion.air_spans import airborne
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, READY_S
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, READY_S
 from rotorwatch_lab.experiments import limits
 
 RATES_HZ = (10.0, 25.0, 50.0, 100.0, 400.0, 1000.0)
 LOSSES, AFTER_S, PERIOD_S = (0.2, 0.3), 10.0, 36_000.0
-TURNS, LEAST_S, ONSETS = 3.0, 20.0, 4  # rad/s; seconds judged; onsets spread over the flight
+TURNS, LEAST_S, ONSETS = 3.0, 20.0, 4  # rad/s; seconds assessed; onsets spread over the flight
 
 
 def thinned(flight, rates: dict[str, float]):
@@ -42,12 +42,12 @@ def thinned(flight, rates: dict[str, float]):
 
 
 def measured(flight, vehicle, air) -> dict | None:
-    """What the ticks of a flight allow: least delays of LOSSES and least standard deviation; None where too little can be judged."""
+    """What the ticks of a flight allow: least delays of LOSSES and least standard deviation; None where too little can be assessed."""
     table = observe(flight, vehicle, air, READY_S)
     if table is None:
         return None
     calm = (table.mode > GROUND) & (np.abs(table.rate).max(axis=1) < TURNS)
-    table = replace(table, mode=np.where(calm, JUDGE, table.mode), upset=np.zeros_like(table.upset))
+    table = replace(table, mode=np.where(calm, ASSESS, table.mode), upset=np.zeros_like(table.upset))
     B = vehicle.effectiveness()
     u, y, valid = program.inputs(table, B)
     valid = valid & calm[:, None] & np.array([True, True, True, False])
@@ -63,10 +63,10 @@ def measured(flight, vehicle, air) -> dict | None:
             ).information
             after = np.searchsorted(np.cumsum(valid[onset:, 0]) * table.dt, AFTER_S) + onset
             sds.append(float(limits.loss_sd(known[min(after, len(known) - 1)])))
-            judged = np.concatenate([np.zeros(onset), np.cumsum(valid[onset:, 0])]) * table.dt
+            assessed = np.concatenate([np.zeros(onset), np.cumsum(valid[onset:, 0])]) * table.dt
             for loss in LOSSES:
-                delays[loss].append(limits.delay(judged, known, loss, 0.0, PERIOD_S))
-    return {"judged": len(seen) * table.dt, "sd": float(np.median(sds)), **{k: float(np.median(v)) for k, v in delays.items()}}
+                delays[loss].append(limits.delay(assessed, known, loss, 0.0, PERIOD_S))
+    return {"assessed": len(seen) * table.dt, "sd": float(np.median(sds)), **{k: float(np.median(v)) for k, v in delays.items()}}
 
 
 def main() -> None:
@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument("logs", nargs="+", type=Path)
     options = parser.parse_args()
     rates = [f"{hz:g} Hz" for hz in RATES_HZ]
-    print(f"| log | judged, s | | {' | '.join(rates)} |\n|---|---|---|{'---|' * len(rates)}")
+    print(f"| log | assessed, s | | {' | '.join(rates)} |\n|---|---|---|{'---|' * len(rates)}")
     for path in options.logs:
         flight = logs.read(path)
         vehicle = airframes.identify(flight)
@@ -84,11 +84,11 @@ def main() -> None:
         found = [None if thin is None else measured(thin, vehicle, air) for thin in every]
         if not any(found):
             continue
-        name, judged = path.name.split(".")[0], max(one["judged"] for one in found if one)
+        name, assessed = path.name.split(".")[0], max(one["assessed"] for one in found if one)
         lines = [(f"{loss:.0%} seen after, s", [f"{one[loss]:.1f}" if one else "" for one in found]) for loss in LOSSES]
         lines.append(("error after 10 s", [f"{one['sd']:.3f}" if one else "" for one in found]))
         for k, (what, cells) in enumerate(lines):
-            first = f"{name} | {judged:.0f}" if k == 0 else " | "
+            first = f"{name} | {assessed:.0f}" if k == 0 else " | "
             print(f"| {first} | {what} | {' | '.join(cells)} |", flush=True)
 
 

@@ -211,7 +211,7 @@ def host(options: argparse.Namespace) -> None:
 
 
 def kills(options: argparse.Namespace) -> None:
-    """Judge logs on a cluster of which parts are killed; compare with what an undisturbed call leaves."""
+    """Assess logs on a cluster of which parts are killed; compare with what an undisturbed call leaves."""
     rng = random.Random(options.seed)
     with tempfile.TemporaryDirectory() as name, cluster(2) as dask, outcomes(options, Path(name)) as outcome:
         count, rounds, killed = 0, 0, {"worker": 0, "scheduler": 0, "client": 0}

@@ -1,10 +1,10 @@
-"""What is told of vehicles that are built, loaded or set up badly, and of healthy ones: the notices that accuse no rotor.
+"""What is reported of vehicles that are built, loaded or set up badly, and of healthy ones: the notices that accuse no rotor.
 
     python benchmarks/notices.py [--flights 10] [--healthy 100] [--kind NAME]... [--jobs 1] [--list]
 
 Simulated flights of each kind, and the healthy ones of plans/open.toml but for those whose rotors are at their limit by the plan. Each is
-judged by `diagnose` on the log that it writes. Printed: of each notice, in how many flights of its kind it is told, and in how many
-healthy ones. --list: each flight with what is told of it. A flight follows from its kind and number alone.
+assessed by `diagnose` on the log that it writes. Printed: of each notice, in how many flights of its kind it is reported, and in how many
+healthy ones. --list: each flight with what is reported of it. A flight follows from its kind and number alone.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ def of_kind(name: str, number: int) -> Scenario:
     return scenario.from_table(KINDS[name](rng, number))
 
 
-def told(flown: Scenario) -> tuple[str, dict[str, str]]:
+def reported(flown: Scenario) -> tuple[str, dict[str, str]]:
     """(verdict, reason of each notice) that `diagnose` gives of the log of a flight."""
     numbers = flight_plan(flown)
     (record,) = fly_each(MULTIROTOR, [numbers], flown.duration_s, flown.rate_hz, flown.record_hz, logbook.needed)
@@ -129,7 +129,7 @@ def healthy(count: int) -> list[int]:
 
 def _one(work: tuple[str, int]) -> tuple[str, dict[str, str]]:
     name, number = work
-    return told(of_kind(name, number) if name else _plan().flight(number))
+    return reported(of_kind(name, number) if name else _plan().flight(number))
 
 
 def main() -> None:
@@ -151,7 +151,7 @@ def main() -> None:
         [kinds.kind_of(name).noun, *(f"{sum(name in said for (own, _), (_, said) in zip(work, found) if own == of)}" for of in (name, ""))]
         for name in options.kind or KINDS
     ]
-    heads = ("notice", f"told in {options.flights} flights of its kind", f"told in {options.healthy} healthy flights")
+    heads = ("notice", f"reported in {options.flights} flights of its kind", f"reported in {options.healthy} healthy flights")
     print(tools.table(heads, rows))
 
 

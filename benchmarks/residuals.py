@@ -2,8 +2,8 @@
 
     python benchmarks/residuals.py FOLDER [FOLDER ...] [--plan plans/open.toml] [--flights 90]
 
-FOLDER holds logs (.ulg, .bin, or these with .xz) and truth.csv with the columns path, kind and onset_s: of healthy flights all judged ticks
-count, of others those more than LEAD s before the onset. Simulated are the healthy flights among the first of the plan.
+FOLDER holds logs (.ulg, .bin, or these with .xz) and truth.csv with the columns path, kind and onset_s: of healthy flights all assessed
+ticks count, of others those more than LEAD s before the onset. Simulated are the healthy flights among the first of the plan.
 
 z = innovation / its standard deviation as the estimator has it, (T, 4): roll, pitch, yaw, thrust. Of each flight and axis: the standard
 deviation of z; excess kurtosis; share beyond 4; correlation of neighbouring ticks; power in bands of a Welch spectrum (Hann, SEGMENT ticks)
@@ -26,7 +26,7 @@ import numpy as np
 from rotorwatch import logs
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import Flight
-from rotorwatch.toolkit import JUDGE, estimated, prepare
+from rotorwatch.toolkit import ASSESS, estimated, prepare
 from rotorwatch_lab import campaign
 from rotorwatch_lab.campaign import batch, open_score
 from rotorwatch_lab.experiments import tools
@@ -39,13 +39,13 @@ FURTHER = 1.25
 
 
 def innovations(flight: Flight, until: float = np.inf) -> tuple[np.ndarray, float] | None:
-    """(z (T, 4) of judged ticks before `until` [s], seconds of a tick), or None where the flight is not judged."""
+    """(z (T, 4) of assessed ticks before `until` [s], seconds of a tick), or None where the flight is not assessed."""
     ready = prepare(flight)
     if ready.table is None:
         return None
     out, table = estimated(ready).out, ready.table
     z = np.asarray(out.innovation) / np.sqrt(np.asarray(out.innovation_var))
-    keep = (table.mode == JUDGE) & table.valid.all(axis=1) & (table.time < until)
+    keep = (table.mode == ASSESS) & table.valid.all(axis=1) & (table.time < until)
     if table.contact is not None:
         keep &= ~table.contact
     return (z[keep], table.dt) if keep.sum() >= LEAST else None
@@ -141,7 +141,7 @@ def main() -> None:
     real = [m for folder in asked.folders for m in logged(folder)]
     ours = list(simulated(campaign.read(asked.plan), asked.flights))
     if not real or not ours:
-        raise SystemExit(f"{len(real)} logged and {len(ours)} simulated flights were judged: nothing to compare.")
+        raise SystemExit(f"{len(real)} logged and {len(ours)} simulated flights were assessed: nothing to compare.")
     print(f"{len(ours)} simulated and {len(real)} logged flights: median (10 % to 90 % of flights)\n")
     print(tools.table(["innovations", "simulated", "logged", "simulator"], compared(ours, real)))
 

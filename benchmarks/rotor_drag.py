@@ -27,7 +27,7 @@ MEAN_S, BLOCK_S, LEAST_S, TURNS = 5.0, 0.5, 30.0, 3.0
 
 
 def measured(table, B) -> tuple[float, float, float] | None:
-    """Drag, its standard deviation and the seconds judged; None where less than LEAST_S can be judged or no side force is measured."""
+    """Drag, its standard deviation and the seconds assessed; None where less than LEAST_S can be assessed or no side force is measured."""
     u, y, valid = program.inputs(table, B)
     n, block = B.shape[1], round(BLOCK_S / table.dt)
     flown = (table.mode > GROUND) & valid[:, 2] & (np.abs(table.rate).max(axis=1) < TURNS)
@@ -48,7 +48,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="+", type=Path)
     found = []
-    print("| log | judged, s | drag |\n|---|---|---|")
+    print("| log | assessed, s | drag |\n|---|---|---|")
     for path in parser.parse_args().logs:
         try:
             flight = logs.read(path)

@@ -4,7 +4,7 @@
 
 Starts a server of its own, and a headless Chromium with an empty cache for each measurement of the page (extra `test`). The answer to an
 upload is timed from the first byte that is sent to the last of the answer, when the flight is in the store; each log is sent once to a
-fresh store, after a small one of the same kind has been judged, as a server does that has been in use.
+fresh store, after a small one of the same kind has been assessed, as a server does that has been in use.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""What is said of flights of some seconds: how many are judged, which losses are found, and how often one is that is not there.
+"""What is said of flights of some seconds: how many are assessed, which losses are found, and how often one is that is not there.
 
     python benchmarks/short_flights.py simulated [--flights 900] [--seconds 8] [--loss 0.3] [--first 0] [--jobs 2]
     python benchmarks/short_flights.py logs [--seconds 8] [--loss 0.3] LOG...
 
 Simulated: a quadrotor takes off, hovers in wind of 0 to 5 m/s and is logged at 400 Hz; of each flight so many seconds from lift-off on
-are judged, once as it is and once with a loss of one rotor that begins between 35 and 70 % of them. Logs: each session as it is up to its
-first landing, and where that is longer cut to so many seconds; into each that is judged losses are put, one for each rotor. Flight k
+are assessed, once as it is and once with a loss of one rotor that begins between 35 and 70 % of them. Logs: each session as it is up to its
+first landing, and where that is longer cut to so many seconds; into each that is assessed losses are put, one for each rotor. Flight k
 follows from its number alone.
 """
 
@@ -49,15 +49,15 @@ def simulated(number: int, seconds: float, loss: float) -> list[tuple[float, int
 
 
 def said(flight: Flight) -> dict:
-    """Verdict, the rotors accused, whether it was judged, and the largest bound of a rotor."""
+    """Verdict, the rotors accused, whether it was assessed, and the largest bound of a rotor."""
     answer = rw.diagnose(flight)
     sure = {r for e in answer.events if e.means.accuses and not e.alternatives for r in e.rotors}
     named = {r for e in answer.events if e.means.accuses for r in e.suspects}
     named |= {r.rotor for r in answer.rotors if r.status == "suspect"}
     bounds = [r.since_takeoff[1] for r in answer.rotors if r.since_takeoff]
-    judged = answer.verdict != "inconclusive" or bool(bounds)
+    assessed = answer.verdict != "inconclusive" or bool(bounds)
     return {
-        "verdict": answer.verdict, "sure": sure, "named": named, "judged": judged, "bound": max(bounds, default=1.0),
+        "verdict": answer.verdict, "sure": sure, "named": named, "assessed": assessed, "bound": max(bounds, default=1.0),
         "why": answer.headline,
     }  # fmt: skip
 
@@ -80,7 +80,7 @@ def of_logs(paths: Iterable[str], seconds: float, loss: float) -> list[tuple[flo
             answer, span = said(there), part - start
             print(f"{path}, {span:.1f} s: {answer['verdict']}, bound {100 * answer['bound']:.0f} %: {answer['why']}")
             rows.append((0.0, 0, span, answer))
-            if answer["judged"] and span < 2 * seconds:
+            if answer["assessed"] and span < 2 * seconds:
                 for k in range(1, len(vehicle.rotors) + 1):
                     changed = inject(there, vehicle, k, loss, start + 0.5 * span)
                     rows.append((loss, k, span, said(changed)))
@@ -105,9 +105,9 @@ def main() -> None:
         rows = [row for done in spread.run(_simulated, work, options.jobs) for row in done.result()]
     healthy, weak = [row for row in rows if not row[0]], [row for row in rows if row[0]]
     hours = sum(row[2] for row in healthy) / 3600.0
-    bounds = [row[3]["bound"] for row in healthy if row[3]["judged"]]
+    bounds = [row[3]["bound"] for row in healthy if row[3]["assessed"]]
     print(f"\n{len(healthy)} flights, {hours:.2f} h: {dict(Counter(row[3]['verdict'] for row in healthy))}")
-    print(f"judged {len(bounds)}; bound: median {np.median(bounds or [1.0]):.3f}, 90 % {np.quantile(bounds or [1.0], 0.9):.3f}")
+    print(f"assessed {len(bounds)}; bound: median {np.median(bounds or [1.0]):.3f}, 90 % {np.quantile(bounds or [1.0], 0.9):.3f}")
     print(f"accused {sum(bool(row[3]['sure']) for row in healthy)}, suspected {sum(bool(row[3]['named']) for row in healthy)}")
     right = sum(row[3]["sure"] == {row[1]} for row in weak)
     among = sum(row[1] in row[3]["named"] and row[3]["sure"] != {row[1]} and not row[3]["sure"] - {row[1]} for row in weak)

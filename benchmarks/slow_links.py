@@ -5,7 +5,7 @@
 
 Quads and hexas of any size, calm to 7 m/s of wind, hovering, turning, climbing and flying squares and eights at 1 to 3 m/s; one rotor loses
 20, 40 or 60 % of its thrust at once and for good. Outputs come at the rate, attitude rates, accelerations and attitude at twice the rate
-(4 a second at least), the controller's outputs not at all. Each thinned flight is judged by `diagnose`; beside it stands the bound on any
+(4 a second at least), the controller's outputs not at all. Each thinned flight is assessed by `diagnose`; beside it stands the bound on any
 diagnoser that sees the same ticks, knows the rotor and raises one false alarm in ten hours (rotorwatch_lab/experiments/limits.py).
 """
 
@@ -26,7 +26,7 @@ from rotorwatch.diagnose import diagnose
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion.air_spans import airborne
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LAG_S, READY_S, tick_length
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, LAG_S, READY_S, tick_length
 from rotorwatch_lab.campaign import methods, summary
 from rotorwatch_lab.experiments import limits
 from rotorwatch_lab.simulation import logbook, scenario
@@ -76,7 +76,7 @@ def over_link(flight, hz: float):
     return thinned(flight, {name: hz if name == "motors" else motion for name in flight.signals if name != "control"})
 
 
-def judged(k: int, made, record, hz: float) -> tuple[dict, dict | None]:
+def assessed(k: int, made, record, hz: float) -> tuple[dict, dict | None]:
     """The row of one flight at one rate, and what its bound needs."""
     flight = over_link(logbook.flight(made, flight_plan(made), record), hz)
     craft = airframes.identify(flight)
@@ -95,7 +95,7 @@ def judged(k: int, made, record, hz: float) -> tuple[dict, dict | None]:
     began = time.perf_counter()
     answer = diagnose(flight)
     row["wall_s"] = time.perf_counter() - began
-    healthy = (table.mode == JUDGE) & (table.time < onset)
+    healthy = (table.mode == ASSESS) & (table.time < onset)
     accused = [e for e in answer.events if e.rotors]
     early = [e for e in accused if e.detected_s < onset - table.dt]
     row |= {
@@ -142,20 +142,20 @@ def add_bounds(parts: list[dict]) -> None:
         table, row = p["table"], p["row"]
         known = known[: len(table.time)]
         row["bound_delay_s"] = limits.delay(table.time, known, row["loss"], p["onset"], FALSE_ALARM_PERIOD_S)
-        usable = np.flatnonzero((table.mode == JUDGE) & ~table.upset & (table.time <= p["onset"] + SIZE_S))
+        usable = np.flatnonzero((table.mode == ASSESS) & ~table.upset & (table.time <= p["onset"] + SIZE_S))
         if usable.size and known[usable[-1]] > 0.0:
             row["bound_sd"] = float(limits.loss_sd(known[usable[-1]]))
 
 
 def run(flights: int, healthy: int) -> list[dict]:
-    """All rows. Each flight is flown once and judged at every rate."""
+    """All rows. Each flight is flown once and assessed at every rate."""
     rows, parts = [], defaultdict(list)
     flights_and_losses = [(k, loss) for loss in LOSSES for k in range(flights)] + [(1000 + k, None) for k in range(healthy)]
     for done, (k, loss) in enumerate(flights_and_losses):
         made = drawn(k, loss)
         (record,) = fly_each(MULTIROTOR, [flight_plan(made)], made.duration_s, made.rate_hz, made.record_hz, logbook.needed)
         for hz in RATES_HZ:
-            row, part = judged(k, made, record, hz)
+            row, part = assessed(k, made, record, hz)
             rows.append(row)
             if part is not None:
                 parts[made.airframe["frame"], hz].append(part)
@@ -213,7 +213,7 @@ def show(rows: list[dict]) -> str:
             )
     out += [
         "",
-        "| outputs, Hz | tick, s | healthy time judged, h | false alarms | an hour | without alternatives |",
+        "| outputs, Hz | tick, s | healthy time assessed, h | false alarms | an hour | without alternatives |",
         "|---|---|---|---|---|---|",
     ]
     for hz in sorted({r["hz"] for r in rows}):

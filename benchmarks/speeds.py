@@ -43,7 +43,7 @@ def drawn(seed: int, kind: str | None) -> tuple[Flight, int, float]:
     return simulate(scenario.from_table(table)).flight, rotor, onset
 
 
-def told(flight: Flight, rotor: int, onset: float) -> tuple[float, bool]:
+def reported(flight: Flight, rotor: int, onset: float) -> tuple[float, bool]:
     """(s until a loss of the rotor is announced, infinite where it is not; whether another rotor is accused)."""
     losses = [e for e in rw.diagnose(flight).events if e.means.weakens]
     mine = [e.detected_s - onset for e in losses if e.rotors == (rotor,)]
@@ -56,8 +56,8 @@ def one(task: tuple[int, str]) -> tuple[float, float, bool]:
     if not KINDS[kind]:
         return np.inf, np.inf, any(e.means.wrong for e in rw.diagnose(flight).events)
     bare = replace(flight, signals={name: s for name, s in flight.signals.items() if name != "esc"})
-    with_, wrong = told(flight, rotor, onset)
-    return with_, told(bare, rotor, onset)[0], wrong
+    with_, wrong = reported(flight, rotor, onset)
+    return with_, reported(bare, rotor, onset)[0], wrong
 
 
 def left(flight: Flight) -> list[following.Departure]:

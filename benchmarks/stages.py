@@ -2,7 +2,7 @@
 
     python benchmarks/stages.py FOLDER [--logs 200] [--rounds 3] [--functions 15]
 
-FOLDER: flight logs; those in folders below it count, too, and of more than `--logs` every k-th. First one process judges all of them, as
+FOLDER: flight logs; those in folders below it count, too, and of more than `--logs` every k-th. First one process assesses all of them, as
 `rotorwatch diagnose FOLDER` does, and tells for each stage what of its processor time went there; each log counts with its fastest round.
 A timer stops it once a millisecond; the processor time since the last stop is the stage's whose function it stops in. Code in C is stopped
 when it returns, so that its time is its caller's. Then the process itself: the interpreter, NumPy, what else a verdict imports, and the
@@ -104,7 +104,7 @@ def chosen(folder: Path, count: int) -> list[Path]:
     return found[:: max(1, len(found) // count)][:count]
 
 
-def judged(paths: list[Path], rounds: int) -> tuple[dict[str, float], dict[str, float], int]:
+def assessed(paths: list[Path], rounds: int) -> tuple[dict[str, float], dict[str, float], int]:
     """(seconds by stage, by function, logs with an answer): all logs, one after the other, the fastest round of each."""
     from rotorwatch.diagnose_many import diagnose_many
 
@@ -181,7 +181,7 @@ def main() -> None:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         paths = chosen(unpacked(options.folder, Path(scratch)), options.logs)
-        stages, functions, answers = judged(paths, options.rounds)
+        stages, functions, answers = assessed(paths, options.rounds)
         total, megabytes = sum(stages.values()), sum(map(size, paths))
         print(f"{len(paths)} logs, {answers} with an answer, {megabytes:.0f} MB: {total:.1f} s of one processor, ", end="")
         print(f"{len(paths) / total:.1f} logs and {megabytes / total:.1f} MB a second\n")

@@ -1,4 +1,4 @@
-"""What becomes of losses that wind hides? Simulated flights in wind, with a loss of one rotor or none, judged by the default diagnoser.
+"""What becomes of losses that wind hides? Simulated flights in wind, with a loss of one rotor or none, assessed by the default diagnoser.
 
     python benchmarks/unseen.py --flights 600
 

@@ -7,7 +7,7 @@ The vehicles run in a process of their own, each with SERVO_OUTPUT_RAW, ATTITUDE
 datagram that completes a tick to the estimate of that tick, whatever it waited for in between.
 
 --starts: how long the command takes from its start to the first tick of a vehicle that is in the air and whose parameters come at once,
-so many times. That tick learns the noise: what is judged follows after the blind time, which is physics and no machinery.
+so many times. That tick learns the noise: what is assessed follows after the blind time, which is physics and no machinery.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def main() -> None:
         if not stepped(self, complete):
             return False
         now, number = time.monotonic(), int(self.name.rsplit("/")[-1]) - 1
-        table, _ = self.session._judge.now
+        table, _ = self.session._assess.now
         # The vehicle's clock counts from its first message; a tick is complete with the first motion after it.
         step = int(np.ceil(table.time[-1] * 50 - 1e-6))
         if 0 <= step * options.vehicles + number < len(sent):
@@ -189,8 +189,8 @@ def main() -> None:
     wall, busy = time.monotonic() - first, time.process_time() - busy
     share = len(late) // 5
     if not late:
-        raise SystemExit("nothing was judged: let the vehicles fly for longer")
-    print(f"{options.vehicles} vehicles, {wall:.0f} s: {len(late)} pieces judged, {busy / wall:.0%} of one core")
+        raise SystemExit("nothing was assessed: let the vehicles fly for longer")
+    print(f"{options.vehicles} vehicles, {wall:.0f} s: {len(late)} pieces assessed, {busy / wall:.0%} of one core")
     p50, p99, most = np.quantile(np.array(late[share:]) * 1e3, [0.5, 0.99, 1.0])
     print(f"from datagram to estimate: median {p50:.1f} ms, 99 % {p99:.1f} ms, longest {most:.1f} ms")
     behind = [wall - w.session.now for w in watched.vehicles if w.session is not None]

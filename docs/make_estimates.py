@@ -97,7 +97,7 @@ def measured(log: Path, group: str, segments: list, methods: list[str], draw: Pa
     from rotorwatch_lab.estimate import steps
 
     flight = rw.read(log)
-    left = min((judged.onset for judged in prepare(flight).upsets), default=np.inf)
+    left = min((assessed.onset for assessed in prepare(flight).upsets), default=np.inf)
     found = rw.estimate(flight, methods, truth=steps(segments))
     row = {"log": log.name, "group": group, "faults": len(segments), "control_lost_s": None if left == np.inf else left, "methods": {}}
     first = min(s.time[0] for s in found.series)

@@ -37,7 +37,7 @@ OUTCOMES = (("right",), ("among", "partly"), evaluate.WRONG, ("missed", "astray"
 COLUMNS = ("repository", "group", *evaluate.ROW, *OTHERS)
 
 
-def judged(source: Mapping[str, Any], checkout: Path, out: Path, jobs: int) -> list[dict[str, Any]]:
+def assessed(source: Mapping[str, Any], checkout: Path, out: Path, jobs: int) -> list[dict[str, Any]]:
     """The rows of a source, with the outcome of each of OTHERS: right, wrong, none, or empty where it cannot be run."""
     out.mkdir(parents=True, exist_ok=True)
     recipe = real_flights.recipe(source["recipe"])
@@ -67,14 +67,14 @@ def _others(flight: Any) -> Iterator[dict[str, str]]:
             from rotorwatch.flight import vehicle_file
 
             vehicle = vehicle_file.read(flight.vehicle)
-        found = rules.findings(logs.read(flight.path), vehicle)
+        found, others = rules.findings(logs.read(flight.path), vehicle), OTHERS
     except RotorwatchError:
-        found = None
+        found, others = (), ()
     faults = flight.faults or (Fault((), float("inf")),)
     edges = [-float("inf"), *(fault.onset_s - counting.EARLY_S for fault in faults[1:]), float("inf")]
     for fault, start, end in zip(faults, edges, edges[1:]):
         said = {}
-        for name in OTHERS if found is not None else ():
+        for name in others:
             raised = [counting.Alarm(f["time_s"], ((f["rotor"],),)) for f in found if f["detector"] == name and start <= f["time_s"] < end]
             counted = counting.count(raised, fault.rotors, fault.onset_s)
             said[name] = "false" if counted.false else "right" if counted.right else "wrong" if raised else "none"
@@ -120,7 +120,8 @@ CAUSES = """
   propellers differ by 0.06 in pitch; in straight lines the cut ones differ from them by 0.07 in pitch and 0.06 in yaw, the other way.
 - OpenHA: in flight the end of the first loss is found 3 s late. At first it looks like a torque from outside: commands fall faster than the
   motors, and the end seems larger than the loss.
-- Rotors switched off, 10 Hz of commands: later ones are told from within 0.13 s of the switch, one 2 s late; one is missed, in a flight of
+- Rotors switched off, 10 Hz of commands: later ones are reported from within 0.13 s of the switch, one 2 s late; one is missed, in a flight
+of
   which the notes say that three rotors were off and kept turning at idle.
 - A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty: it yaws the vehicle as much as it rolls it,
   by 0.1 of an arm length, as no weight does outside of the rotor's wake.
@@ -250,7 +251,7 @@ def main() -> int:
             continue
         print(source["repository"], file=sys.stderr)
         name = source["repository"]
-        fresh = judged(source, checkout, given.folder.resolve() / "converted" / checkout.name, given.jobs)
+        fresh = assessed(source, checkout, given.folder.resolve() / "converted" / checkout.name, given.jobs)
         rows = [row for row in rows if row["repository"] != name] + fresh
         order = [s["repository"] for s in sources]
         rows.sort(key=lambda row: order.index(row["repository"]))

@@ -208,9 +208,9 @@ def main_event(views):
 def headline(views):
     """Headline and reason speak of the main event and of nothing else, with its numbers."""
     d, said = views.json, views.json["headline"]
-    unjudged = bool(d["rotors"]) and {r["from_takeoff"] for r in d["rotors"]} == {"not judged"}
+    unassessed = bool(d["rotors"]) and {r["from_takeoff"] for r in d["rotors"]} == {"not assessed"}
     hidden = "Damage present at take-off was not assessed" in said
-    views.expect(hidden == (unjudged and d["verdict"] == "healthy"), "the headline and the rotors differ on take-off")
+    views.expect(hidden == (unassessed and d["verdict"] == "healthy"), "the headline and the rotors differ on take-off")
     if d["main_event"] is None or (d["verdict"] == "fault" and d["events"][d["main_event"]]["alternatives"]):
         return
     main = d["events"][d["main_event"]]
@@ -229,10 +229,10 @@ def headline(views):
 
 
 def health(views):
-    """Every rotor's grade and trend stand on the page and in the terminal, where anything was judged; a word fits its interval."""
+    """Every rotor's grade and trend stand on the page and in the terminal, where anything was assessed; a word fits its interval."""
     states_ = views.json["rotors"]
-    judged = any(r["status"] != "unobservable" for r in states_) and not views.json["story"]
-    for r in states_ if judged else ():
+    assessed = any(r["status"] != "unobservable" for r in states_) and not views.json["story"]
+    for r in states_ if assessed else ():
         me = f"rotor {r['rotor']}"
         state = views.diagnosis.rotors[r["rotor"] - 1]
         views.shown(health_section.grade(state), f"the grade of {me}")
@@ -290,7 +290,7 @@ def rotors(views):
             expect(bool(sure) or (whole.get("verdict") == "fault" and k in whole["rotors"]), f"{me} without anything certain")
         if r["status"] == "suspect":
             expect(bool(r["note"]), f"{me}: no word why")
-            # Its own evidence, an unjudged landing, an override, the trim or the comparison: at least one must have named it.
+            # Its own evidence, an unassessed landing, an override, the trim or the comparison: at least one must have named it.
             by_evidence = any(words in r["note"] for words in ("no event explains", "or the wind changed then"))
             why = bool(claims) or r["from_takeoff"] == "suspect" or by_evidence
             expect(why, f"{me} although nothing names it")
@@ -298,8 +298,8 @@ def rotors(views):
             expect(r["since_takeoff"] is not None, f"{me}: no word on what could have hidden")
             expect(all(e["end_s"] is not None for e in claims), f"{me} although something about it lasts")
             expect(r["from_takeoff"] != "bounded" or not whole, f"{me} is bounded by any healthy vehicle beside its own flights")
-            if r["from_takeoff"] == "not judged":
-                expect([low, high] == list(r["since_takeoff"]), f"{me}: an interval of more than was judged")
+            if r["from_takeoff"] == "not assessed":
+                expect([low, high] == list(r["since_takeoff"]), f"{me}: an interval of more than was assessed")
             else:
                 expect(high >= r["since_takeoff"][1] - EPS, f"{me}: less could hide in all than since take-off")
             lost = any(e["kind"] == "loss_of_control" for e in d["events"])
@@ -352,7 +352,7 @@ def page(views):
         cells = (r.rotor, r.place, r.status, report.sentence(r.note), report.rotor_loss(r), report.rotor_interval(r))
         views.expect(words == flat(" ".join(map(str, cells))), f"the page's row says {words}, not {cells}")
         views.expect((row["status"], row["tint"]) == (r.status, looks[r.rotor][0]), f"rotor {r.rotor}: the row's look")
-        if r.status == "healthy" and r.from_takeoff == "not judged":
+        if r.status == "healthy" and r.from_takeoff == "not assessed":
             views.expect("%" not in words.replace(report.rotor_interval(r), ""), words)
         for width, screen in views.screens.items():
             wide = " ".join(map(str, (r.rotor, r.place, r.status, report.rotor_loss(r), report.rotor_interval(r)))).strip()

@@ -277,20 +277,20 @@ def mask(rotors) -> int:
     return sum(1 << (r - 1) for r in rotors)
 
 
-def expected(told) -> list[tuple[int, int, float]]:
+def expected(reported) -> list[tuple[int, int, float]]:
     """(kind, rotors, onset s) of what `diagnose` says and a board can: nothing of the blind time, no impacts."""
     return [
         (KINDS[e.kind], mask(e.rotors), e.onset_s)
-        for e in told.events
+        for e in reported.events
         if e.kind in KINDS and (e.extra.get("live", True) or "grew_until_s" in e.extra)
     ]
 
 
-def differences(told, flown: Flown) -> list[str]:
+def differences(reported, flown: Flown) -> list[str]:
     """How the events that stand at the end differ from those of `diagnose`; contacts, which accuse nobody, are left out."""
     left = [(int(e["Kind"]), int(e["Rot"]), e["On"]) for e in flown.events()]
     found = []
-    for kind, rotors, onset in expected(told):
+    for kind, rotors, onset in expected(reported):
         same = [e for e in left if e[:2] == (kind, rotors)]
         near = min(same, key=lambda e: abs(e[2] - onset), default=None)
         if near is None or abs(near[2] - onset) > ONSET_S + 1e-6:

@@ -167,13 +167,13 @@ _C = ctypes.CDLL(None) if os.name == "posix" else None
 
 
 def _maps():
-    told = Path("/proc/self/maps")
-    return len(told.read_bytes().splitlines()) if told.exists() else 0
+    reported = Path("/proc/self/maps")
+    return len(reported.read_bytes().splitlines()) if reported.exists() else 0
 
 
 def _in_memory():
-    told = Path("/proc/self/statm")
-    return int(told.read_text().split()[1]) * mmap.PAGESIZE if told.exists() else 0
+    reported = Path("/proc/self/statm")
+    return int(reported.read_text().split()[1]) * mmap.PAGESIZE if reported.exists() else 0
 
 
 _held = _in_memory()
@@ -266,12 +266,12 @@ def hexa_event(**changes):
     return replace(event, **changes)
 
 
-def hexa_diagnosis(events=None, whole_flight=None, doubts=(), evidence=(), judged_s=46.0, population=None, **changes):
+def hexa_diagnosis(events=None, whole_flight=None, doubts=(), evidence=(), assessed_s=46.0, population=None, **changes):
     """The answer to these events of a hexa X in 60 s; by default to one, the loss of rotor 3. changes: of the Diagnosis made of it."""
     events, air = (hexa_event(),) if events is None else events, ((4.0, 58.0),)
     compared = (*from_takeoff.claims(whole_flight, from_takeoff.FLIGHTS, air), *from_takeoff.claims(population, from_takeoff.VEHICLES, air))
     seen = Evidence(
-        events, 6, hidden=np.full(6, 0.04), judged_s=judged_s, claims=open_claims((*compared, *evidence), events),
+        events, 6, hidden=np.full(6, 0.04), assessed_s=assessed_s, claims=open_claims((*compared, *evidence), events),
         places=places.names(HEXA), hops=air, comparable=whole_flight is None,
     )  # fmt: skip
     end = conclude(seen, doubts)

@@ -1,4 +1,4 @@
-"""Crashes by the hundred, judged and counted: `python -m tests.crashes --flights 300 --stays 300 [--jobs 2]`.
+"""Crashes by the hundred, assessed and counted: `python -m tests.crashes --flights 300 --stays 300 [--jobs 2]`.
 
 Frames, kinds of crashes, and rates at which outputs are logged are drawn by the seed. What truly happened is the model's (`tumbling.fly`).
 A crash is drawn again, frame and all, until control is lost: an octarotor flies on without a rotor, and many a knock is mastered.
@@ -36,7 +36,7 @@ def flown(task: tuple[str, str, int, float]) -> tuple[str, int, Flight, tumbling
     raise RuntimeError(f"{task}: no crash in {DRAWS} draws")
 
 
-def judged(task: tuple[str, str, int, float]) -> tuple[str, str, int, float, str]:
+def assessed(task: tuple[str, str, int, float]) -> tuple[str, str, int, float, str]:
     """(frame, case, seed, rate, answer) of one flight; the answer as in `verdict_of`."""
     _, case, _, rate = task
     frame, seed, flight, truth = flown(task)
@@ -86,7 +86,7 @@ def tasks(flights: int, cases, seed: int) -> list[tuple[str, str, int, float]]:
 
 
 def main() -> None:
-    """Fly, judge, count, print."""
+    """Fly, assess, count, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=300)
     parser.add_argument("--stays", type=int, default=300)
@@ -97,7 +97,7 @@ def main() -> None:
     found = defaultdict(Counter)
 
     with ProcessPoolExecutor(given.jobs) as pool:
-        for number, (frame, case, seed, rate, answer) in enumerate(pool.map(judged, work, chunksize=4), start=1):
+        for number, (frame, case, seed, rate, answer) in enumerate(pool.map(assessed, work, chunksize=4), start=1):
             kind = "crashes" if case in tumbling.CRASHES else "stays up"
             for row in (f"all {kind}", case, f"{kind}, {rate:g} Hz", f"{kind}, {frame}"):
                 found[row][answer] += 1

@@ -101,14 +101,14 @@ DAMAGE: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray]] = {
 }
 
 
-def _attempt(copy: bytes, name: str, judge: Callable[[Path], str]) -> tuple[str, str]:
-    """(outcome, what went wrong) of one damaged copy: what `judge` says of the file, unless it raises."""
+def _attempt(copy: bytes, name: str, assess: Callable[[Path], str]) -> tuple[str, str]:
+    """(outcome, what went wrong) of one damaged copy: what `assess` says of the file, unless it raises."""
     with tempfile.TemporaryDirectory(prefix="rotorwatch-fuzz-") as folder:
         path = Path(folder) / name
         path.write_bytes(copy)
         try:
             with within(LIMIT_S):
-                return judge(path), ""
+                return assess(path), ""
         except RotorwatchError as why:
             sentence = str(why).strip()
             return ("rejected", sentence) if sentence else ("FAILED", f"{type(why).__name__} without a sentence")
@@ -121,16 +121,16 @@ def anywhere(path: str | os.PathLike, mutations: int, seed: int = 0, diagnosed: 
     data, name = load(path)
     outcomes, failures = Counter(), []
     for number in range(mutations):
-        judged = np.random.default_rng([seed, number, 1]).random() < diagnosed
+        assessed = np.random.default_rng([seed, number, 1]).random() < diagnosed
 
-        def judge(file: Path, judged: bool = judged) -> str:
+        def assess(file: Path, assessed: bool = assessed) -> str:
             flight = read(file)
-            if judged:
+            if assessed:
                 diagnose(flight).to_json()
             return "read with warnings" if flight.warnings else "read"
 
         copy, damage = mutate(data, seed, number)
-        outcome, what = _attempt(copy, name, judge)
+        outcome, what = _attempt(copy, name, assess)
         outcomes[outcome] += 1
         if outcome == "FAILED":
             failures.append((number, damage, what))

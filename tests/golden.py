@@ -32,7 +32,7 @@ from rotorwatch.engine.motion import tick_table
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.flight import kinds
 from rotorwatch.gathering import Gathered
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "flights"
 TIME_S, SIZE = 0.0015, 0.0015  # by which rounded numbers may differ and be the same
@@ -44,24 +44,24 @@ def answers(path: Path, asked: Sequence[str] = ("link", "board")) -> dict:
     """Of one log: what `diagnose` says, and those that are asked beside it."""
     try:
         flight = logs.read(path)
-        told = diagnose(flight)
+        reported = diagnose(flight)
     except RotorwatchError as why:
         return {"refused": str(why).replace(str(path.parent), "")}
-    found: dict = {"diagnose": {"verdict": told.verdict, "headline": told.headline, "events": events(told.to_dict()["events"])}}
+    found: dict = {"diagnose": {"verdict": reported.verdict, "headline": reported.headline, "events": events(reported.to_dict()["events"])}}
     for name in asked:
         ask = _link if name == "link" else _board
         try:
             aerobatic.decline(flight, "neither watch nor the library takes it.")
-            found[name] = ask(flight, told)
+            found[name] = ask(flight, reported)
         except (RotorwatchError, LookupError, ValueError, StopIteration) as why:
             found[name] = {"left out": type(why).__name__}
     return found
 
 
-def events(told: list[dict]) -> list[dict]:
+def events(reported: list[dict]) -> list[dict]:
     """Events as the JSON has them, what is compared of them."""
     kept = ("kind", "rotors", "alternatives", "onset_s", "detected_s", "end_s", "loss", "interval")
-    return rounded([{name: event[name] for name in kept} for event in told])
+    return rounded([{name: event[name] for name in kept} for event in reported])
 
 
 def rounded(value: Any) -> Any:
@@ -73,12 +73,12 @@ def rounded(value: Any) -> Any:
     return [rounded(inner) for inner in value] if isinstance(value, (list, tuple)) else value
 
 
-def _link(flight, told) -> dict:
-    said, _, _ = sent(flight, MAV_TYPE[len(told.flight["geometry"])], "asked for")
+def _link(flight, reported) -> dict:
+    said, _, _ = sent(flight, MAV_TYPE[len(reported.flight["geometry"])], "asked for")
     return {"events": events(said)}
 
 
-def _board(flight, told) -> dict:
+def _board(flight, reported) -> dict:
     what = flown(flight)
     if what.dt > tick_table.SHORTEST_S / 2.0:
         raise ValueError("too slow for on board")

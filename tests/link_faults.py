@@ -183,20 +183,20 @@ def flown(seed: int, number: int, faults: Faults | None = None) -> dict:
     except Exception:
         return {**about, "outcome": "CRASH", "what": traceback.format_exc()}
     about["loss"] = max((v.health.loss for v in link.vehicles), default=0.0)
-    return {**about, **judged(alerts, link, FLIGHTS[which][3])}
+    return {**about, **assessed(alerts, link, FLIGHTS[which][3])}
 
 
-def judged(alerts: list[dict], link: Link, fault) -> dict:
-    """The outcome: right, found late or not at all, not judged, or one that must not be."""
+def assessed(alerts: list[dict], link: Link, fault) -> dict:
+    """The outcome: right, found late or not at all, not assessed, or one that must not be."""
     trouble = [v.trouble for v in link.vehicles if v.trouble]
     if trouble:
         return {"outcome": "CRASH", "what": trouble[0]}
-    told = [a for a in alerts if a["type"] == "event" and a["event"]["kind"] in ALARMS]
+    reported = [a for a in alerts if a["type"] == "event" and a["event"]["kind"] in ALARMS]
     if fault is None:
-        if told:
-            return {"outcome": "FALSE ALARM", "what": [(a["state"], a["event"]) for a in told]}
-        return {"outcome": "quiet" if all(v.session is not None and v.session.judged for v in link.vehicles) else "not judged"}
-    last = {a["number"]: a for a in told}
+        if reported:
+            return {"outcome": "FALSE ALARM", "what": [(a["state"], a["event"]) for a in reported]}
+        return {"outcome": "quiet" if all(v.session is not None and v.session.assessed for v in link.vehicles) else "not assessed"}
+    last = {a["number"]: a for a in reported}
     holds = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
     early = [e for e in holds if e["detected_s"] < 20.0]  # the flight's second 22 is after that on the vehicle's clock, too
     wrong = [e for e in holds if [fault[0]] not in (e["rotors"], *e["alternatives"])]

@@ -4,7 +4,7 @@
 
 The recorded flights of a real autopilot in ../shared/flights/ardupilot-sitl, and simulated ones: quad, hexa, octaquad, Y6, in hover and
 squares, healthy, with one weak rotor (10 to 100 %) and with a pair. Each is sent over a link at the rates that `watch` asks for, at those
-that ground stations ask for unless told otherwise (4 Hz), and once more with 3 s cut out in its middle.
+that ground stations ask for unless asked otherwise (4 Hz), and once more with 3 s cut out in its middle.
 """
 
 from __future__ import annotations
@@ -62,24 +62,24 @@ def rotors_of(events) -> set[tuple[int, ...]]:
 
 
 def compared(which, link: str) -> dict:
-    """What `watch` told over that link, what `diagnose` says of the flight's own log and of the recorded link, and how much later [s of the
-    vehicle's time] the link's first event was told than the recording's was known; None without either."""
+    """What `watch` reported over that link, what `diagnose` says of the flight's own log and of the recorded link, and how much later [s of
+    the vehicle's time] the link's first event was reported than the recording's was known; None without either."""
     flight, kind, weak = flight_of(which)
-    told, recording, announced_s = sent(flight, kind, link)
+    reported, recording, announced_s = sent(flight, kind, link)
     own = diagnose(flight).to_dict()["events"]
     known = [e["detected_s"] for e in recording if e["kind"] in ALARMS]
     late = announced_s - min(known) if announced_s is not None and known else None
-    sets = [[s for s in (e["rotors"], *e["alternatives"]) if s] for e in told if e["kind"] in ALARMS]
+    sets = [[s for s in (e["rotors"], *e["alternatives"]) if s] for e in reported if e["kind"] in ALARMS]
     wrong = any(not any(set(s) <= set(weak) for s in named) for named in sets)
     return {
-        "flight": which, "link": link, "weak": weak, "watch": rotors_of(told), "own": rotors_of(own), "recording": rotors_of(recording),
+        "flight": which, "link": link, "weak": weak, "watch": rotors_of(reported), "own": rotors_of(own), "recording": rotors_of(recording),
         "late_s": late, "wrong": wrong,
     }  # fmt: skip
 
 
 def sent(flight, kind: int, link: str) -> tuple[list[dict], list[dict], float | None]:
-    """The events that `watch` told of a flight over that link and holds, those that `diagnose` finds in the recorded link, and when the
-    first fault was told [s since the first sample]."""
+    """The events that `watch` reported of a flight over that link and holds, those that `diagnose` finds in the recorded link, and when the
+    first fault was reported [s since the first sample]."""
     outputs_hz, motion_hz, cut = LINKS[link]
     said = messages(flight, kind=kind, outputs_hz=outputs_hz, motion_hz=motion_hz)
     autopilot = Autopilot({})
@@ -93,9 +93,9 @@ def sent(flight, kind: int, link: str) -> tuple[list[dict], list[dict], float | 
         (path,) = Path(folder).glob("*.tlog")
         recording = diagnose(logs.read(path)).to_dict()["events"]
     last = {a["number"]: a for a in alerts if a["type"] == "event"}
-    told = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
+    reported = [a["event"] for a in last.values() if a["state"] != "withdrawn"]
     announced = [a for a in alerts if a["type"] == "event" and a["state"] == "announced" and a["event"]["kind"] in ALARMS]
-    return told, recording, announced[0]["at"] - first if announced else None
+    return reported, recording, announced[0]["at"] - first if announced else None
 
 
 def one(task) -> dict:
@@ -117,7 +117,7 @@ def main() -> int:
         mine = [r for r in rows if r["link"] == link]
         late = sorted(r["late_s"] for r in mine if r["late_s"] is not None)
         counts = Counter(
-            weak=sum(bool(r["weak"]) for r in mine), own=sum(bool(r["own"]) for r in mine), told=sum(bool(r["watch"]) for r in mine),
+            weak=sum(bool(r["weak"]) for r in mine), own=sum(bool(r["own"]) for r in mine), reported=sum(bool(r["watch"]) for r in mine),
             as_recorded=sum(r["watch"] == r["recording"] for r in mine), as_own_log=sum(r["watch"] == r["own"] for r in mine),
             wrong=sum(r["wrong"] for r in mine),
         )  # fmt: skip

@@ -69,6 +69,6 @@ def overheard(path: Path, without: tuple[int, ...] = (), vehicle=None, until_s: 
 
 
 def held(alerts: list[dict]) -> list[dict]:
-    """The events that were told and not withdrawn, as they were told last."""
+    """The events that were reported and not withdrawn, as they were reported last."""
     last = {a["number"]: a for a in alerts if a["type"] == "event"}
     return [a["event"] for a in last.values() if a["state"] != "withdrawn"]

@@ -32,7 +32,7 @@ def one_of(kinds):
 def beside_steps(C, z, prior, left=1.0):
     """`moments` of the first of the directions of C (k, k), z (k,), where the others step with variances `prior` (k - 1,)."""
     inner = C[1:, 1:] + np.diag(1.0 / prior)
-    c, told = C[0, 0] - C[0, 1:] @ np.linalg.solve(inner, C[1:, 0]), np.linalg.solve(inner, z[1:])
-    gain = 0.5 * z[1:] @ told - 0.5 * np.linalg.slogdet(np.eye(len(prior)) + C[1:, 1:] * prior)[1]
-    mass, mean, variance = moments(c, z[0] - C[0, 1:] @ told, left)
+    c, reported = C[0, 0] - C[0, 1:] @ np.linalg.solve(inner, C[1:, 0]), np.linalg.solve(inner, z[1:])
+    gain = 0.5 * z[1:] @ reported - 0.5 * np.linalg.slogdet(np.eye(len(prior)) + C[1:, 1:] * prior)[1]
+    mass, mean, variance = moments(c, z[0] - C[0, 1:] @ reported, left)
     return mass + gain, mean, variance

@@ -1,4 +1,4 @@
-"""A ground station of MAVSDK, in a process of its own: `python mavsdk_station.py PORT`. Prints what it is told as JSON lines, until it is
+"""A ground station of MAVSDK, in a process of its own: `python mavsdk_station.py PORT`. Prints what it receives as JSON lines, until it is
 ended."""
 
 import json
@@ -12,8 +12,8 @@ from mavsdk.plugins.mavlink_direct.mavlink_direct import MavlinkDirect
 from mavsdk.plugins.telemetry.telemetry import Telemetry
 
 
-def say(**told):
-    print(json.dumps(told), flush=True)
+def say(**reported):
+    print(json.dumps(reported), flush=True)
 
 
 def main(port):

@@ -20,7 +20,7 @@ def run(estimator, *table, keep=lambda carry, out: out):
 
 
 class Regression:
-    """x, P and the sensitivity of x to theta, step by step; theta is told from outside."""
+    """x, P and the sensitivity of x to theta, step by step; theta is given from outside."""
 
     def __init__(self):
         self.x, self.P, self.sensitivity = PLANT.x0, PLANT.P0, np.zeros((3, 2))

@@ -16,7 +16,7 @@ def greedy(what):
 
 
 def while_full(what):
-    """Judges at once, but for a page that cannot be written while there is a file `full` in its folder."""
+    """Assesses at once, but for a page that cannot be written while there is a file `full` in its folder."""
     from rotorwatch.fleet.store import Entry
 
     log, page = what

@@ -378,7 +378,7 @@ class Copy:
             raise RuntimeError(f"pytest ended with {process.exitcode} in {' '.join(tests)}:\n{said}")
         return CAUGHT, failed.group(1)
 
-    def judge(self, mutant: Mutant, limit_s: float) -> Mutant:
+    def assess(self, mutant: Mutant, limit_s: float) -> Mutant:
         """The error planted, tried and taken out again."""
         path = self.root / place(mutant.file)
         original = path.read_text(encoding="utf-8")
@@ -414,10 +414,10 @@ def campaign(mutants: Sequence[Mutant], jobs: int, limit_s: float, unchecked: bo
             finally:
                 free.put(copy)
 
-        def judged(mutant: Mutant) -> Mutant:
+        def assessed(mutant: Mutant) -> Mutant:
             copy = free.get()
             try:
-                return copy.judge(mutant, limit_s)
+                return copy.assess(mutant, limit_s)
             finally:
                 free.put(copy)
 
@@ -427,7 +427,7 @@ def campaign(mutants: Sequence[Mutant], jobs: int, limit_s: float, unchecked: bo
         for _, failed in pool.map(healthy, groups):
             if failed:
                 sys.exit(f"Tests fail before any error is planted: {failed}.")
-        yield from pool.map(judged, mutants)
+        yield from pool.map(assessed, mutants)
 
 
 def read(path: Path) -> list[Mutant]:

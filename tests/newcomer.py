@@ -1,7 +1,7 @@
 """From an empty computer to an answer on your own log: `python tests/newcomer.py [LOG]`. The time of every step is printed.
 
 Everything happens in a temporary folder, in an environment with HOME, PATH and LANG only, as under `env -i`, and with empty caches. The log
-(a sample if none is given) is copied there under a name with a space. The exit code is 0 when the log was judged and the whole took less
+(a sample if none is given) is copied there under a name with a space. The exit code is 0 when the log was assessed and the whole took less
 than two minutes, else 1.
 
 By default what git knows of this checkout is copied and installed with pip, as the README says; that builds machine code. --wheel FILE

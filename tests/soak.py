@@ -1,4 +1,5 @@
-"""Eight vehicles on one link for hours of their time, with all that links and clocks do: judged to the end, and every flight in the store.
+"""Eight vehicles on one link for hours of their time, with all that links and clocks do: assessed to the end, and every flight in the
+store.
 
     python -m tests.soak --minutes 60
 

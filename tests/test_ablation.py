@@ -13,7 +13,7 @@ from rotorwatch.engine.bindings import program
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator import hypotheses, kalman, model_error, posterior
 from rotorwatch.engine.events import decisions, losses
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.campaign import ablation
 from rotorwatch_lab.campaign.constants import TABLE
@@ -33,7 +33,7 @@ def hover(loss=0.0, count=160, n=4, onset=100) -> Ticks:
     still = np.zeros((count, 3))
     return Ticks(
         time, time - DT, thrust, wrench, still, still, np.ones(count), np.ones((count, 4), bool),
-        np.where(time < 6.0, LEARN, JUDGE).astype(np.int32), np.arange(count) == 0, np.full(count, 0.4), DT, np.zeros(count, bool),
+        np.where(time < 6.0, LEARN, ASSESS).astype(np.int32), np.arange(count) == 0, np.full(count, 0.4), DT, np.zeros(count, bool),
         side=np.zeros((count, 2)),
     )  # fmt: skip
 
@@ -90,7 +90,7 @@ def test_what_follows_from_a_constant_follows_and_is_none():
 @pytest.mark.thorough
 def test_constants_of_the_definition_are_built_in_and_given_back():
     table = hover(0.3)
-    kept = ablation.judge(table, B, {})
+    kept = ablation.assess(table, B, {})
 
     def width() -> float:
         (event,) = ablation.events.read(kept, table, B)
@@ -106,10 +106,10 @@ def test_constants_of_the_definition_are_built_in_and_given_back():
 
 @pytest.mark.thorough
 def test_the_estimator_is_built_with_the_constants_and_without_them_again():
-    table, usual = hover(0.3), ablation.judge(hover(0.3), B, {})
-    other = ablation.judge(table, B, {"kalman.OUTLIER": 2.0, "plant.GAIN_MEAN": (0.01, 0.01, 0.3, 0.0)})
+    table, usual = hover(0.3), ablation.assess(hover(0.3), B, {})
+    other = ablation.assess(table, B, {"kalman.OUTLIER": 2.0, "plant.GAIN_MEAN": (0.01, 0.01, 0.3, 0.0)})
     assert np.abs(other.log_odds - usual.log_odds).max() > 1.0
-    np.testing.assert_array_equal(ablation.judge(table, B, {}).log_odds, usual.log_odds)
+    np.testing.assert_array_equal(ablation.assess(table, B, {}).log_odds, usual.log_odds)
 
 
 def flight(states, false=0, delays=(), errors=(), held=(), hours=0.5):
@@ -131,22 +131,22 @@ def test_differences_are_of_the_same_states():
     """b states right only after, c only before: (b - c) / n, with McNemar's deviation; what changes both ways is seen."""
     before = [flight(["right", "right", "missed", "missed", "wrong"])]
     after = [flight(["right", "missed", "ambiguous", "right", "wrong"], 2)]
-    told = ablation.differences(before, after)
+    reported = ablation.differences(before, after)
     b, c, n = 2, 1, 5
-    assert told["right"]["difference"] == pytest.approx((b - c) / n) and told["right"]["changed"] == b + c
-    assert told["right"]["sd"] == pytest.approx(np.sqrt(b + c - (b - c) ** 2 / n) / n)
-    assert told["wrong"]["changed"] == 0 and told["false"]["difference"] == 2.0
+    assert reported["right"]["difference"] == pytest.approx((b - c) / n) and reported["right"]["changed"] == b + c
+    assert reported["right"]["sd"] == pytest.approx(np.sqrt(b + c - (b - c) ** 2 / n) / n)
+    assert reported["wrong"]["changed"] == 0 and reported["false"]["difference"] == 2.0
 
 
 def test_a_fault_is_found_late_or_never_and_an_event_without_one_is_false():
-    """The judge's own books, on ticks whose answer is put in by hand."""
+    """The assess's own books, on ticks whose answer is put in by hand."""
     table = hover(count=400)
     case = ablation.Case("campaign", table, B, (table.time >= 20.0)[:, None] * np.array([0.3, 0.0, 0.0, 0.0]))
     quiet = ablation.outcomes(case, made(table, rotor=None))
     assert quiet["states"] == ["right", "missed"] and quiet["delays"] == [None] and quiet["false"] == 0
-    told = ablation.outcomes(case, made(table, rotor=0, at=21.0, theta=0.31))
-    assert told["states"] == ["right", "right"] and told["delays"] == [pytest.approx(1.0, abs=0.11)] and told["held"] == [True]
-    assert told["errors"] == [pytest.approx(0.01)]
+    reported = ablation.outcomes(case, made(table, rotor=0, at=21.0, theta=0.31))
+    assert reported["states"] == ["right", "right"] and reported["delays"] == [pytest.approx(1.0, abs=0.11)] and reported["held"] == [True]
+    assert reported["errors"] == [pytest.approx(0.01)]
     wrong = ablation.outcomes(case, made(table, rotor=2, at=10.0, theta=0.2))
     assert wrong["false"] == 1 and wrong["states"][0] == "wrong" and wrong["delays"] == [None]
 
@@ -186,9 +186,13 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path, capsys):
 
 def test_the_table_says_what_changed():
     row = {"right": 0.5, "wrong": 0.0, "found": 1.0, "delay_s": 0.4, "rms": 0.01, "coverage": 0.9, "false_per_h": 0.0}
-    told = {"right": {"difference": -0.1, "sd": 0.02, "changed": 3}, "wrong": {"difference": 0.0, "sd": 0.0, "changed": 0},
+    reported = {"right": {"difference": -0.1, "sd": 0.02, "changed": 3}, "wrong": {"difference": 0.0, "sd": 0.0, "changed": 0},
             "false": {"difference": 0.5, "sd": 0.1, "changed": 1}}  # fmt: skip
-    result = {"set": {"campaign": 4}, "variants": {"as it is": row, "kalman.OUTLIER off": row}, "differences": {"kalman.OUTLIER off": told}}
+    result = {
+        "set": {"campaign": 4},
+        "variants": {"as it is": row, "kalman.OUTLIER off": row},
+        "differences": {"kalman.OUTLIER off": reported},
+    }
     text = ablation.markdown(result)
     assert "50.0 % of the states right" in text
     (line,) = [line for line in text.splitlines() if "OUTLIER" in line]

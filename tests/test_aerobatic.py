@@ -10,9 +10,9 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.calibrate import calibrate
 from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.driver import observe
-from rotorwatch.engine.motion.tick_table import JUDGE, READY_S
+from rotorwatch.engine.motion.tick_table import ASSESS, READY_S
 from rotorwatch.flight import Flight, Signal
-from rotorwatch.witnesses.aerobatic import judge
+from rotorwatch.witnesses.aerobatic import assess
 from rotorwatch.witnesses.aerobatic.response import respond
 from rotorwatch_lab.simulation import fpv, scenario, simulate
 
@@ -34,7 +34,7 @@ LOST = {
 
 @cache
 def flights(seconds=60.0, gust=0.03):
-    """A quad that rolls and pitches as it is told, with thrust from idle to full. gust: coloured torque noise [full thrusts of a rotor].
+    """A quad that rolls and pitches as commanded, with thrust from idle to full. gust: coloured torque noise [full thrusts of a rotor].
     A rate controller at 1 kHz, thrusts by the airframe's curve."""
     count, many, mix = round(seconds / DT), len(LOST), np.linalg.inv(B)
     time, health = DT * np.arange(count), np.ones((count, many, 4))
@@ -70,9 +70,9 @@ def flights(seconds=60.0, gust=0.03):
     }
 
 
-def judged(flight):
+def assessed(flight):
     """Losses of a flight in the air from 2 to 59 s."""
-    table, out = judge.estimate(flight, CRAFT, ALOFT, observe(flight, CRAFT, ALOFT, READY_S))
+    table, out = assess.estimate(flight, CRAFT, ALOFT, observe(flight, CRAFT, ALOFT, READY_S))
     return event_rows.read(out, table, B), table, out
 
 
@@ -88,24 +88,24 @@ def test_the_response_is_that_of_the_vehicle(healthy):
     assert np.abs(seen.missing[seen.flies].mean(axis=0)).max() < 0.03
 
 
-def test_motion_that_does_not_answer_the_outputs_is_not_judged(healthy):
+def test_motion_that_does_not_answer_the_outputs_is_not_assessed(healthy):
     gyro = healthy["gyro"]
     still = replace(healthy, signals={**healthy.signals, "gyro": gyro.with_arrays(gyro.time, -gyro.values, gyro.valid)})
-    found, table, _ = judged(still)
-    assert found == () and not (table.mode == JUDGE).any()
+    found, table, _ = assessed(still)
+    assert found == () and not (table.mode == ASSESS).any()
 
 
 def test_nothing_is_found_in_healthy_flight(healthy):
-    found, table, out = judged(healthy)
-    assert found == () and (table.mode == JUDGE).sum() * table.dt == pytest.approx(46.0, abs=1.5)
-    assert 0.03 < 1.96 * out.detectable[table.mode == JUDGE][-1].max() < 0.4  # a loss that could have gone undetected
+    found, table, out = assessed(healthy)
+    assert found == () and (table.mode == ASSESS).sum() * table.dt == pytest.approx(46.0, abs=1.5)
+    assert 0.03 < 1.96 * out.detectable[table.mode == ASSESS][-1].max() < 0.4  # a loss that could have gone undetected
 
 
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("name", ["first", "last"])
 def test_a_loss_is_found_in_rolls_and_flips(name):
     ((rotor, share, _),) = LOST[name][1]
-    (event,), _, _ = judged(flights()[name])
+    (event,), _, _ = assessed(flights()[name])
     assert event.rotors == (rotor + 1,) and event.end_s is None and event.alternatives == ()
     assert event.onset_s == pytest.approx(30.0, abs=2.5) and 30.0 < event.detected_s < 42.0
     low, high = event.interval[0]
@@ -113,13 +113,13 @@ def test_a_loss_is_found_in_rolls_and_flips(name):
 
 
 def test_a_second_loss_is_another_event():
-    found, _, _ = judged(flights()["two"])
+    found, _, _ = assessed(flights()["two"])
     assert [e.rotors for e in found] == [(2,), (3,)]
 
 
 def test_a_rotor_that_works_again_ends_its_event():
     """Half of its thrust is lost from 20 to 40 s."""
-    (event,), _, _ = judged(flights()["again"])
+    (event,), _, _ = assessed(flights()["again"])
     assert event.rotors == (2,) and event.end_s == pytest.approx(40.0, abs=3.0)
 
 
@@ -135,7 +135,7 @@ def test_a_step_of_the_trim_is_no_loss(healthy):
             "gyro": healthy["gyro"].with_arrays(time, turned, np.ones_like(turned, bool)),
         },
     )
-    assert judged(slipped)[0] == ()
+    assert assessed(slipped)[0] == ()
 
 
 def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
@@ -147,12 +147,12 @@ def test_it_is_what_diagnose_does_with_logs_of_such_firmware(healthy):
 
 
 def test_flights_that_never_hover_are_not_compared_with_healthy_ones():
-    """The balance of hover says nothing here: what was wrong from take-off on is not judged, and the answer says so."""
+    """The balance of hover says nothing here: what was wrong from take-off on is not assessed, and the answer says so."""
     first, second = fpv.fly(2, 30.0, 3)
     known = calibrate([first])
     answer = diagnose(second, vehicle=known)
     assert known.identified and known.identified["whole_flight"]
-    assert answer.whole_flight is None and all(r.from_takeoff == "not judged" for r in answer.rotors)
+    assert answer.whole_flight is None and all(r.from_takeoff == "not assessed" for r in answer.rotors)
     assert any("not compared with healthy ones" in sentence for sentence in answer.assumptions)
 
 
@@ -178,12 +178,12 @@ def test_without_a_gyro_the_rates_of_the_controller_tell_the_same():
     assert diagnose(replace(flight, signals=rates), CRAFT).events == diagnose(flight, CRAFT).events
 
 
-def test_the_motion_decides_which_way_judges_and_not_the_firmware(healthy):
-    """One that hovers is judged by its balance, one that rolls and flips by its angular motion, whoever wrote the log."""
+def test_the_motion_decides_which_way_assesses_and_not_the_firmware(healthy):
+    """One that hovers is assessed by its balance, one that rolls and flips by its angular motion, whoever wrote the log."""
     table = {"duration_s": 40.0, "autopilot": "px4", "airframe": {"frame": "quad-x"}, "logging": {"profile": "full"}}
     calm = replace(simulate(scenario.from_table(table)).flight, autopilot="INAV")
     answers = (diagnose(calm, vehicle=airframes.named("px4-quad-x")), diagnose(replace(healthy, autopilot="PX4"), vehicle=CRAFT))
     assert [any("does not hover" in a for a in answer.assumptions) for answer in answers] == [False, True]
     assert max(r.since_takeoff[1] for r in answers[0].rotors) < 0.1
     mute = replace(calm, signals={k: v for k, v in calm.signals.items() if k not in ("gyro", "rates")})
-    assert judge.applies(mute, None) and not judge.applies(replace(mute, autopilot="PX4"), None)
+    assert assess.applies(mute, None) and not assess.applies(replace(mute, autopilot="PX4"), None)

@@ -11,17 +11,17 @@ from rotorwatch_lab.experiments.studies import reproduction, ruav_filters, ruav_
 
 
 @pytest.fixture(scope="module")
-def judged():
+def assessed():
     system = ruav_flight.plant()
     flights = ruav_flight.fly(system, 1)
     made = study.runs()
     names = ("esmf", "aesmf", "aekf", "aukf", "ekf", "aesmf/own_no_restart", "aekf/no_restart")
-    return flights, {name: study._judged(study._program(made[name]), flights)[0] for name in names}
+    return flights, {name: study._assessed(study._program(made[name]), flights)[0] for name in names}
 
 
 @pytest.mark.thorough
-def test_the_flight_keeps_its_bounds_and_its_fault(judged):
-    flights, _ = judged
+def test_the_flight_keeps_its_bounds_and_its_fault(assessed):
+    flights, _ = assessed
     assert np.isfinite(flights.x).all() and np.abs(flights.x[..., :3]).max() < 3
     form = ((flights.y - flights.x) ** 2 / ruav_flight.MEASUREMENT**2).sum(-1)
     assert form.max() <= 1 + 1e-9
@@ -36,16 +36,16 @@ def test_the_flight_keeps_its_bounds_and_its_fault(judged):
 
 
 @pytest.mark.thorough
-def test_no_actuator_reaches_a_stop(judged):
-    flights, _ = judged
+def test_no_actuator_reaches_a_stop(assessed):
+    flights, _ = assessed
     commands = flights.u[..., :4]
     U = commands * (1.0 - flights.theta[..., :4]) + flights.theta[..., 4:]
     assert U.min() > 0.0 and U.max() < 1.0
 
 
 @pytest.mark.thorough
-def test_sets_and_a_generous_kalman_filter_cover(judged):
-    _, result = judged
+def test_sets_and_a_generous_kalman_filter_cover(assessed):
+    _, result = assessed
     assert result["esmf"]["containment_worst_seed"] == 1.0 and result["esmf"]["ellipsoid"] == 1.0
     assert result["aesmf"]["containment_worst_seed"] == 1.0
     assert result["esmf"]["half_width"] < 0.58 and result["aesmf"]["half_width"] < 0.215
@@ -54,13 +54,13 @@ def test_sets_and_a_generous_kalman_filter_cover(judged):
 
 
 @pytest.mark.thorough
-def test_no_certain_set_could_be_much_narrower(judged):
+def test_no_certain_set_could_be_much_narrower(assessed):
     """Coefficients d off the truth, with the noise that makes up for them, explain the same measurements while that noise keeps
     the filters' bounds: every guaranteed set holds them. To first order in d, a cone program for each coefficient."""
     cp = pytest.importorskip("cvxpy")
     import jax
 
-    flights, result = judged
+    flights, result = assessed
     system, u, x, theta = ruav_flight.plant(stops=False), flights.u[0], flights.x[0], flights.theta[0]
 
     def step(x, u, theta):
@@ -78,16 +78,16 @@ def test_no_certain_set_could_be_much_narrower(judged):
 
 
 @pytest.mark.thorough
-def test_adapted_kalman_bounds_are_the_narrowest(judged):
-    _, result = judged
+def test_adapted_kalman_bounds_are_the_narrowest(assessed):
+    _, result = assessed
     for name in ("aekf", "aukf"):
         assert result[name]["half_width_last_5s"] < 0.5 * result["ekf"]["half_width_last_5s"]
         assert result[name]["restarts"] >= 1
 
 
 @pytest.mark.thorough
-def test_without_a_restart_less_is_known_after_the_fault(judged):
-    _, result = judged
+def test_without_a_restart_less_is_known_after_the_fault(assessed):
+    _, result = assessed
     assert result["aesmf/own_no_restart"]["half_width"] > study.KNOWN > 5 * result["aesmf"]["half_width"]
     assert result["aesmf/own_no_restart"]["half_width_healthy"] == pytest.approx(result["aesmf"]["half_width_healthy"])
     assert result["aekf/no_restart"]["restarts"] == 0 and result["aekf/no_restart"]["containment"] < 0.95
@@ -157,7 +157,7 @@ def verdicts(**changed):
 
 def test_cost_is_computing_time_per_step_of_the_best_round(monkeypatch):
     """Waiting costs nothing; what is slow is not timed again."""
-    flights, told = ruav_flight.Flights(*np.zeros((4, 2, 50, 6))), []
+    flights, reported = ruav_flight.Flights(*np.zeros((4, 2, 50, 6))), []
     monkeypatch.setattr(study, "LONG_S", 0.015)
     work = {"long": iter([0.02]), "short": iter([0.01, 0.008, 0.003, 0.006, 0.004])}
 
@@ -170,12 +170,12 @@ def test_cost_is_computing_time_per_step_of_the_best_round(monkeypatch):
 
         return run
 
-    cost = study._microseconds({name: program(name) for name in work}, flights, lambda *row: told.append(row))
+    cost = study._microseconds({name: program(name) for name in work}, flights, lambda *row: reported.append(row))
     assert 200.0 <= cost["long"] < 1000.0 and 30.0 <= cost["short"] < 75.0
-    assert len(told) == 1 + study.ROUNDS and all(next(left, None) is None for left in work.values())
+    assert len(reported) == 1 + study.ROUNDS and all(next(left, None) is None for left in work.values())
 
 
-def test_each_claim_is_judged_for_each_form():
+def test_each_claim_is_assessed_for_each_form():
     forms, whole = verdicts()
     assert forms["cover"] == ["partly", "partly", "holds", "holds"]
     assert forms["tightest"] == ["not reproduced", "not reproduced", "holds", "holds"]

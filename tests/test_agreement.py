@@ -53,7 +53,7 @@ def simulated(frame, k):
 def test_simulated_flights(frame, amount):
     answers = [rw.diagnose(simulated(frame, k)) for k in range(0, len(FAULTS), amount(2, 1))]
     answers += [rw.diagnose(simulated(frame, k), baseline=[simulated(frame, 0)]) for k in range(1, amount(3, 6))]
-    answers.append(rw.diagnose(simulated(frame, 1).until(7.0)))  # hardly judged
+    answers.append(rw.diagnose(simulated(frame, 1).until(7.0)))  # hardly assessed
     assert {a.verdict for a in answers} >= {"healthy", "fault", "inconclusive"}
     plotted = [a if k in (1, 5) else replace(a, trace=None) for k, a in enumerate(answers)]  # pages without plots are made faster
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()
@@ -144,7 +144,7 @@ def random_answer(seed):
         whole_flight=compared,
         doubts=doubts if rng.random() < 0.2 else (),
         evidence=spells,
-        judged_s=1.0 if rng.random() < 0.1 else 46.0,
+        assessed_s=1.0 if rng.random() < 0.1 else 46.0,
     )
 
 
@@ -165,7 +165,7 @@ def test_any_events(part):
 
 def spoilt(field):
     """An answer with one field that contradicts the rest: each must be found."""
-    good, unjudged = small(hexa_diagnosis(), plotted=False), small(hexa_diagnosis(events=()), plotted=False)
+    good, unassessed = small(hexa_diagnosis(), plotted=False), small(hexa_diagnosis(events=()), plotted=False)
     third = good.rotors[2]
     others = lambda **c: (*good.rotors[:2], replace(third, **c), *good.rotors[3:])  # noqa: E731
     return {
@@ -175,7 +175,7 @@ def spoilt(field):
         "small interval": replace(good, rotors=(replace(good.rotors[0], interval=(0.0, 0.001)), *good.rotors[1:])),
         "verdict": replace(good, verdict="healthy"),
         "headline": replace(good, headline=good.headline.replace("otor 3", "otor 4")),
-        "take-off": replace(unjudged, headline=unjudged.headline.replace("Damage present at take-off was not assessed.", "")),
+        "take-off": replace(unassessed, headline=unassessed.headline.replace("Damage present at take-off was not assessed.", "")),
         "reason": replace(good, reason="rotor 1 lost much."),
         "main": replace(good, main=None),
         "advice": replace(good, advice=()),

@@ -161,7 +161,7 @@ def test_old_firmware_without_message_is_counted():
 
 @pytest.mark.parametrize("frame", ["octa-x", "octaquad-x", "octa-plus", "octaquad-plus", "hexa-x", "y6", "y6-b"])
 @pytest.mark.parametrize("noise", [0.0, 3.0])
-def test_old_firmware_without_message_is_told_by_how_its_outputs_move(frame, noise):
+def test_old_firmware_without_message_is_reported_by_how_its_outputs_move(frame, noise):
     """Eight outputs are an octa's or an octaquad's: each mixer moves them along four directions of its own."""
     rng = np.random.default_rng(2)
     control = rng.normal(size=(400, 4)) * [0.05, 0.05, 0.05, 0.02] + [0.02, -0.01, 0.03, 0.45]

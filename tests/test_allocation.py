@@ -1,4 +1,4 @@
-"""Rotor thrusts rebuilt from the rate controller, overridden outputs, and what losses cannot be told apart."""
+"""Rotor thrusts rebuilt from the rate controller, overridden outputs, and what losses cannot be distinguished."""
 
 import functools
 from dataclasses import replace
@@ -457,7 +457,7 @@ def test_an_override_is_known_when_the_later_of_its_two_control_samples_has_come
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_a_sample_is_judged_by_what_was_known_before_it(known):
+def test_a_sample_is_assessed_by_what_was_known_before_it(known):
     """What is asked of the outputs comes from the factors as they were after the sample before, not after its own or a later one."""
     flight, vehicle, _ = hover(duration=8.0)
     check = allocation.compare(flight, vehicle if known else replace(vehicle, mixer=None))
@@ -536,7 +536,7 @@ def test_an_output_is_accused_with_what_is_left_under_the_share_of_yaw_that_suit
 
 
 def single(asked, demand, yaw, granted):
-    """(n,) by how much each output deviates from the mixer by itself, and (n,) whether that can be judged."""
+    """(n,) by how much each output deviates from the mixer by itself, and (n,) whether that can be assessed."""
     n, check = len(asked), mixer.Comparison()
     check.top, check.yaw_granted = 1.0, granted
     check.demanded[:n], check.thrust[:n], check.yaw[:n] = asked.tolist(), demand.tolist(), yaw.tolist()

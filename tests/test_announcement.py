@@ -28,7 +28,7 @@ def decide(
     asked=True,
     missing=True,
     weak=False,
-    judge=True,
+    assess=True,
     dt=DT,
     gives=0.0,
     pushed=False,
@@ -38,7 +38,7 @@ def decide(
     found = SimpleNamespace(fault=fault, other=other, far=far, asked=SimpleNamespace(weak=weak))
     best = SimpleNamespace(kind=kind, since=since, gives=gives)
     may = SimpleNamespace(asked=asked, missing=missing)
-    alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, judge, pushed)
+    alarm.decide(made(Plant, rotors=N, dt=dt), found, best, SimpleNamespace(reach=REACH), may, assess, pushed)
     return alarm
 
 
@@ -88,8 +88,8 @@ def test_pairs_which_are_rare_by_their_prior_are_not_held_against_something_else
     assert ticks_until_alarm(fault=30.0, other=30.0, kind=PAIR) is None
 
 
-@pytest.mark.parametrize("blocked", [{"asked": False}, {"missing": False}, {"judge": False}, {"since": EDGE * REACH}])
-def test_what_cannot_be_is_not_judged_or_began_before_the_bank_is_not_announced(blocked):
+@pytest.mark.parametrize("blocked", [{"asked": False}, {"missing": False}, {"assess": False}, {"since": EDGE * REACH}])
+def test_what_cannot_be_is_not_assessed_or_began_before_the_bank_is_not_announced(blocked):
     fault = LIMIT + CERTAIN_NATS - 1.0
     assert ticks_until_alarm(fault=fault, **blocked) is None
     said = decide(fault=fault)
@@ -129,7 +129,7 @@ def test_what_has_certainly_happened_for_a_second_is_absorbed():
     refused = dict(other=-9.0, fault=CERTAIN_NATS + 0.1, weak=True, missing=False)
     assert ticks_until_absorbed(**refused) in (second, second + 1)
     assert ticks_until_absorbed(**refused, kind=RECOVERY) in (round(BURST_S / DT), round(BURST_S / DT) + 1)  # it may still become clear
-    assert ticks_until_absorbed(**sure, judge=False) is None
+    assert ticks_until_absorbed(**sure, assess=False) is None
     standing = filled(made(Alarm, limit=LIMIT), above=9, sure_s=9.0)
     assert not decide(standing, fault=90.0, weak=True).absorbed  # announced instead
     assert decide(filled(made(Alarm, limit=LIMIT), sure_s=0.7)).sure_s == 0.0

@@ -58,7 +58,7 @@ def test_an_answer_says_what_is_known_and_why_no_more_is(answer):
     assert REASONS.get(name, "") in answer.headline
     for text in (answer.headline, answer.reason, printed(answer)):
         assert not [pattern for pattern in NEVER if re.search(pattern, " ".join(text.split()))]
-    assert not grades.rows(answer) or any("not judged" not in row for row in grades.rows(answer))
+    assert not grades.rows(answer) or any("not assessed" not in row for row in grades.rows(answer))
 
 
 @pytest.mark.parametrize(("matters", "verdict"), [(0.2, "healthy"), (0.001, "inconclusive")])

@@ -9,7 +9,7 @@ from tests.plain import plant as plant_of
 
 from rotorwatch.engine.estimator import plant
 from rotorwatch.engine.estimator.plant import AIR
-from rotorwatch.engine.intake.ticks import JUDGE, LEARN
+from rotorwatch.engine.intake.ticks import ASSESS, LEARN
 from test_default_estimator import DT, EXPO, FULL, KNOWN_NOISE, make
 from test_plant import QUAD
 
@@ -33,7 +33,7 @@ def flown(takes, loss=0.0, fails=TICKS, known=True, wash=0.0, lean=0.0, seed=0):
     y = given @ QUAD.T + np.sqrt(KNOWN_NOISE[0]) * rng.standard_normal((TICKS, 4))
     zeros, side = np.zeros((TICKS, 3)), np.zeros((TICKS, 2))
     curve = np.full(TICKS, EXPO), np.zeros(TICKS)
-    mode = np.where(when < READY, LEARN, JUDGE)
+    mode = np.where(when < READY, LEARN, ASSESS)
     air = axial if known else np.full(TICKS, np.nan)
     u = np.column_stack([given, zeros, N * load, zeros, side, np.full(TICKS, FULL), *curve, air, mode, when == 0])
     return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))

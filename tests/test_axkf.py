@@ -89,7 +89,7 @@ def augmented(plant, u, y, valid, theta_var, walk):
 
 
 def weighted_least_squares(plant, u, y, valid, theta_var, forgetting):
-    """(theta, covariance) by batch: innovations of Kalman filters that are told theta are affine in it."""
+    """(theta, covariance) by batch: innovations of Kalman filters that are given theta are affine in it."""
 
     def innovations(theta):
         x, P, rows = plant.x0, plant.P0, []

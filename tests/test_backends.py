@@ -33,11 +33,11 @@ def said(**env):
     return json.loads(done.stdout), done.stderr
 
 
-JUDGE = """
+ASSESS = """
 import json, sys, numpy as np, rotorwatch as rw
 d = rw.diagnose(sys.argv[1])
-told = [[e.kind, list(e.rotors), e.onset_s, e.detected_s, [list(a) for a in e.alternatives], list(e.loss)] for e in d.events]
-np.savez(sys.argv[2], loss=d.trace.loss, events=json.dumps(told))
+reported = [[e.kind, list(e.rotors), e.onset_s, e.detected_s, [list(a) for a in e.alternatives], list(e.loss)] for e in d.events]
+np.savez(sys.argv[2], loss=d.trace.loss, events=json.dumps(reported))
 """
 
 
@@ -47,7 +47,7 @@ def test_both_backends_say_the_same(tmp_path):
     answers = []
     for backend in ("native", "jax"):  # each in a process of its own, as users run them
         out = tmp_path / f"{backend}.npz"
-        command = [sys.executable, "-c", JUDGE, str(SAMPLE), str(out)]
+        command = [sys.executable, "-c", ASSESS, str(SAMPLE), str(out)]
         subprocess.run(command, env={**os.environ, "ROTORWATCH_BACKEND": backend}, check=True)
         with np.load(out) as file:
             answers.append((json.loads(str(file["events"])), file["loss"]))
@@ -116,7 +116,7 @@ def test_a_published_methods_native_code_says_what_jax_says(monkeypatch):
     seen = {}
     for backend in ("native", "jax"):
         monkeypatch.setenv("ROTORWATCH_BACKEND", backend)
-        seen[backend] = published.judge("ekf", table, vehicle.effectiveness())[0]
+        seen[backend] = published.assess("ekf", table, vehicle.effectiveness())[0]
     assert np.ptp(seen["jax"].theta[:, 1]) > 0.3
     np.testing.assert_allclose(seen["native"].theta, seen["jax"].theta, atol=1e-8)
     assert (seen["native"].announced == seen["jax"].announced).all()

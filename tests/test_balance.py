@@ -90,7 +90,7 @@ def test_without_an_unbalance_nothing_is_heard():
     assert not unbalanced.findings(found)
 
 
-def test_blades_that_pass_are_told_from_an_unbalance():
+def test_blades_that_pass_are_reported_from_an_unbalance():
     time = np.arange(0.0, 20.0, 1e-3)
     speed = wandering(time)
     for blades in (2, 3):

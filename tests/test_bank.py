@@ -38,12 +38,12 @@ def run():
     kept = {}
     for k in range(TICKS):
         bank.advance(p, k >= FIRST, False, [float(k), float(k) ** 2, 0.0, 0.0], 0, len(bank.packs))
-        rows, told = made(Rows, h=h[k]), Observed()
+        rows, reported = made(Rows, h=h[k]), Observed()
         leader = made(Branch, gain=K[k], innovation=nu[k], S=[2.0] * 4)
-        told.by(p, rows, leader, (2.0 * w[k]).tolist(), (w[k] > 0.0).tolist())
+        reported.by(p, rows, leader, (2.0 * w[k]).tolist(), (w[k] > 0.0).tolist())
         for slot in bank.packs:
             if slot.age >= 0:
-                slot.observe(p, rows, leader, told)
+                slot.observe(p, rows, leader, reported)
         if k in (5, 6, 20, TICKS - 1):
             kept[k] = copied(bank)
     return p, (h, K, w, nu), kept
@@ -116,9 +116,9 @@ def test_errors_of_the_model_integrated_out_leave_the_marginal(run):
         prior = np.zeros((DIRECTIONS, DIRECTIONS))
         prior[errors, errors] = 1.0 / 0.3, 1.0 / more
         full = np.linalg.inv(C + prior)
-        told = array(window.C, DIRECTIONS, DIRECTIONS)[np.ix_(rest, rest)]
-        assert told == pytest.approx(np.linalg.inv(full[np.ix_(rest, rest)]), rel=1e-7)
-        score = np.linalg.solve(told, array(window.z, DIRECTIONS)[rest])
+        reported = array(window.C, DIRECTIONS, DIRECTIONS)[np.ix_(rest, rest)]
+        assert reported == pytest.approx(np.linalg.inv(full[np.ix_(rest, rest)]), rel=1e-7)
+        score = np.linalg.solve(reported, array(window.z, DIRECTIONS)[rest])
         assert score == pytest.approx((full @ z)[rest], rel=1e-7)
 
 

@@ -1,4 +1,4 @@
-"""Healthy flights are judged before anything is learned from them: which are set aside, and with which words."""
+"""Healthy flights are assessed before anything is learned from them: which are set aside, and with which words."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -53,8 +53,8 @@ def test_a_frame_with_as_many_rotors_elsewhere_is_another_frame():
 def test_a_vehicle_of_another_frame_is_refused_and_one_that_differs_is_mentioned():
     with pytest.raises(VehicleError, match="commands 4 rotors but the frame ardupilot-hexa-x"):
         settle(flown(), airframes.named("ardupilot-hexa-x"), (), diagnose)
-    _, source, told = settle(flown(), airframes.named("ardupilot-quad-plus"), (), diagnose)
-    assert source == "none" and "the log says ardupilot-quad-x" in told[0] and "ardupilot-quad-plus" in told[0]
+    _, source, reported = settle(flown(), airframes.named("ardupilot-quad-plus"), (), diagnose)
+    assert source == "none" and "the log says ardupilot-quad-x" in reported[0] and "ardupilot-quad-plus" in reported[0]
     assert settle(flown(), QUAD, (), diagnose)[2] == ()
 
 
@@ -74,7 +74,7 @@ def test_a_faulty_flight_is_no_baseline():
         diagnose(flown(), baseline=[weak])
 
 
-def test_a_flight_too_short_to_be_judged_is_not_suspicious():
+def test_a_flight_too_short_to_be_assessed_is_not_suspicious():
     short = flown("short.bin").until(7.0)
     assert diagnose(short).verdict == "inconclusive"
     assert names(healthy([short], diagnose)[0]) == ["short.bin"]

@@ -54,7 +54,7 @@ def test_a_plan_that_was_published_stays_as_it_is():
 
 
 def test_flights_can_be_taken_away(tmp_path):
-    """Every flight of the plan with what is true of it, under hashes; the log is the one that is judged."""
+    """Every flight of the plan with what is true of it, under hashes; the log is the one that is assessed."""
     plan = benchmark_plan.parsed(SMALL.replace("flights = 4", "flights = 2"), "small")
     written = benchmark.export(plan, tmp_path / "flights")
     names = [f"{number}{ending}" for number in ("00000", "00001") for ending in (".bin", ".truth.csv")]
@@ -398,7 +398,7 @@ class Breaks(Wrong):
         ("Breaks", "The estimator breaks of the package test_benchmark fails: RuntimeError: no licence."),
     ],
 )
-def test_a_method_that_cannot_be_run_is_told_before_anything_flies(kind, says, tmp_path):
+def test_a_method_that_cannot_be_run_is_reported_before_anything_flies(kind, says, tmp_path):
     with pytest.raises(ConfigError, match=says):
         benchmark.run("quick", [f"{__name__}:{kind}"], tmp_path / "x.json")
     assert not list(tmp_path.iterdir())
@@ -407,7 +407,7 @@ def test_a_method_that_cannot_be_run_is_told_before_anything_flies(kind, says, t
 def test_a_method_that_fails_on_the_way_is_left_out_and_the_others_go_on(tmp_path, monkeypatch):
     methods = tuple(benchmark.selected_methods(["ekf", "akf"]))
     entered = benchmark._entered(benchmark.parsed(SMALL) if hasattr(benchmark, "parsed") else benchmark_plan.parsed(SMALL), methods)
-    judge, ran = benchmark.Judge(str(tmp_path), methods), []
+    assess, ran = benchmark.Assessor(str(tmp_path), methods), []
 
     def rows(plan, flown, size, failed):
         ran.append(plan.estimators)
@@ -417,10 +417,10 @@ def test_a_method_that_fails_on_the_way_is_left_out_and_the_others_go_on(tmp_pat
 
     monkeypatch.setattr(batch, "fly", lambda plan, flights, size: list(flights))
     monkeypatch.setattr(batch, "rows", rows)
-    judge(entered, (0, 1), 2)
-    judge(entered, (2, 3), 2)
+    assess(entered, (0, 1), 2)
+    assess(entered, (2, 3), 2)
     assert ran == [("ekf", "akf"), ("ekf",)]
-    assert judge.failed() == {"akf": "The estimator akf of the package rotorwatch 0.1.0 fails: FloatingPointError: it blew up."}
+    assert assess.failed() == {"akf": "The estimator akf of the package rotorwatch 0.1.0 fails: FloatingPointError: it blew up."}
 
 
 def test_parts_of_other_methods_are_not_mixed_in(tmp_path):
@@ -488,7 +488,7 @@ def test_logs_with_known_faults_are_scored_as_simulated_flights_are(tmp_path):
         ("hexax_m3_mul0.80_square_wind.bin.xz", (3,)), ("quadx_healthy_hover.bin.xz", ()),
     ]  # fmt: skip
     plan = benchmark._entered(benchmark_plan.parsed(SMALL), benchmark.selected_methods(["default", "px4-esc-current"]))
-    rows, left_out = public_data.judge(data, plan)
+    rows, left_out = public_data.assess(data, plan)
     assert [log for log, _ in left_out] == ["damaged.bin"] and "damaged.bin" in left_out[0][1]
     assert {(row["method"], row["rotors"]) for row in rows} == {(m, n) for m in ("default", "px4-esc-current") for n in (4, 6)}
     (faulty,) = [row for row in rows if row["fault"] and row["method"] == "default"]

@@ -1,4 +1,4 @@
-"""Blackbox logs of a vehicle that never hovers through the command line: what judges them, and what says that it cannot."""
+"""Blackbox logs of a vehicle that never hovers through the command line: what assesses them, and what says that it cannot."""
 
 import json
 
@@ -27,8 +27,8 @@ def run(capsys, *words):
 
 
 @pytest.mark.thorough
-def test_inject_judges_as_diagnose_does(log, capsys):
-    """In hover's way nothing of such a flight is judged; a rotor that loses half of its thrust is found in most of it."""
+def test_inject_assesses_as_diagnose_does(log, capsys):
+    """In hover's way nothing of such a flight is assessed; a rotor that loses half of its thrust is found in most of it."""
     code, out, _ = run(capsys, "inject", log, "--loss", "0.5", "--repeats", "2", "--jobs", "1", "--json", "-q")
     (row,) = (shown := json.loads(out))["table"]
     assert code == 0 and shown["healthy"]["false_alarms"] == row["false_alarms"] == 0

@@ -54,20 +54,20 @@ def programs(flight, tmp_path_factory):
 
 @needs_compiler
 @pytest.mark.parametrize("autopilot", [pytest.param("px4", marks=pytest.mark.thorough), "ardupilot"])
-def test_a_flight_is_told_as_diagnose_tells_it(autopilot, flight, programs, tmp_path):
+def test_a_flight_is_reported_as_diagnose_tells_it(autopilot, flight, programs, tmp_path):
     """A rotor that lost a third: one event, one text; a record holds all rotors; nothing is dropped."""
-    told, what = diagnose(flight), board.shown(flight)
+    reported, what = diagnose(flight), board.shown(flight)
     what = board.in_shares(what) if autopilot == "px4" else what
     flown = board.fly(programs(autopilot), what.table, tmp_path)
-    assert board.differences(told, flown) == []
+    assert board.differences(reported, flown) == []
     few(flown)
     assert flown.left == 0, "stopped, it leaves nothing behind"
     assert [severity for _, severity, _ in flown.texts] == [WARNING] and "rotor 3 lost" in flown.texts[0][2]
-    assert flown.texts[0][0] - told.events[0].detected_s < 0.5
+    assert flown.texts[0][0] - reported.events[0].detected_s < 0.5
     rows = flown.records["RWLS"]
     assert all(row["Drop"] == 0 for row in rows) and len(rows) > 4 * (rows[-1]["TimeUS"] - rows[0]["TimeUS"]) / 1e6
     assert all(np.isnan(rows[-1][f"L{k}"]) == (k > 6) for k in range(1, 13))
-    assert abs(rows[-1]["L3"] - told.events[0].loss[0]) < 0.1
+    assert abs(rows[-1]["L3"] - reported.events[0].loss[0]) < 0.1
     if autopilot == "ardupilot":
         assert max(row["P"] for row in flown.records["RWEV"]) == pytest.approx(SUREST), "no surer than an answer"
 
@@ -82,7 +82,7 @@ def test_memory_and_thread_only_where_it_is_enabled(programs, flight, tmp_path):
 
 
 @needs_compiler
-def test_what_is_told_is_what_was_asked_for(programs, flight, tmp_path):
+def test_what_is_reported_is_what_was_asked_for(programs, flight, tmp_path):
     table = board.shown(flight).table
     assert board.fly(programs("ardupilot"), table, tmp_path, "1", "0").texts == []
     assert board.fly(programs("ardupilot"), table, tmp_path, "1", "2").texts == []
@@ -110,18 +110,18 @@ DIFFERS: dict[str, str] = {
 @needs_compiler
 @pytest.mark.skipif(not FULL, reason="many logs: set ROTORWATCH_FULL_LAW=1")
 @pytest.mark.parametrize("path", every_log() if FULL else [], ids=lambda p: p.name)
-def test_every_log_is_told_as_diagnose_tells_it(path, tmp_path):
+def test_every_log_is_reported_as_diagnose_tells_it(path, tmp_path):
     try:
         flight = logs.read(path)
-        name, what, told = board.autopilot_of(flight), board.shown(flight), diagnose(flight)
+        name, what, reported = board.autopilot_of(flight), board.shown(flight), diagnose(flight)
     except (RotorwatchError, board.TooFew) as why:
         pytest.skip(str(why))
     program = board.build(name, board.library(what, tmp_path / "library"), tmp_path / "made", "-O1")
     flown = board.fly(program, what.table, tmp_path)
     few(flown)
-    if any(e.kind == "loss_of_control" for e in told.events) or told.doubts:
-        pytest.skip("judged after the flight")
-    found = board.differences(told, flown)
+    if any(e.kind == "loss_of_control" for e in reported.events) or reported.doubts:
+        pytest.skip("assessed after the flight")
+    found = board.differences(reported, flown)
     if path.name in DIFFERS:
         assert found, "once it is the same it goes from the list"
         pytest.xfail(DIFFERS[path.name])

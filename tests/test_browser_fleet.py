@@ -16,8 +16,8 @@ def test_pages_of_a_fleet_fit_a_phone(tmp_path, chromium, looks):
     with Store(tmp_path / "fleet.db") as store:
         for k in range(12):
             loss = np.array([[0.0, 0.0, 0.2 if k > 6 else 0.0, 0.0]])
-            told = row(k, wrench(columns(4), loss)[0], 4)
-            known = {name: told[name] for name in ("utc", "airborne_s", "rotors", "trim")}
+            reported = row(k, wrench(columns(4), loss)[0], 4)
+            known = {name: reported[name] for name in ("utc", "airborne_s", "rotors", "trim")}
             verdict = "crashed" if k > 9 else "healthy"
             name = f"{k}_field_test_with_a_very_long_name_and_more_of_it_2026-05-01.bin"
             store.add(

@@ -20,11 +20,11 @@ def fill(place):
     with Store(place) as store:
         for k in range(MANY):
             found = one if k == MANY - 1 else other if k == MANY - 2 else well
-            told = {**found, "flight": {**found["flight"], "name": f"{k:04d}.bin"}}
+            reported = {**found, "flight": {**found["flight"], "name": f"{k:04d}.bin"}}
             store.add(Entry(
                 f"{k:064x}", "", f"{k:04d}.bin", 1, identity=f"uid {k % 3}", called=f"Quad {k % 3}", frame="hexa X", rotors=6,
-                utc=f"2026-05-{1 + k // 24:02d}T{k % 24:02d}:00:00.000Z", duration_s=10.0 + k, airborne_s=10.0, verdict=told["verdict"],
-                headline=told["headline"], diagnosis=told, version="0.1.0",
+                utc=f"2026-05-{1 + k // 24:02d}T{k % 24:02d}:00:00.000Z", duration_s=10.0 + k, airborne_s=10.0, verdict=reported["verdict"],
+                headline=reported["headline"], diagnosis=reported, version="0.1.0",
             ))  # fmt: skip
 
 

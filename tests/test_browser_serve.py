@@ -75,7 +75,7 @@ def test_a_live_fault_is_shown_and_a_reload_loses_nothing(tab):
     assert "Rotor 3 lost" in card.locator(".sentence").inner_text()
     assert "degraded" in card.locator("g.rotor").nth(2).get_attribute("class")
     assert "rotor 3: lost" in card.locator("svg.airframe title").text_content()
-    assert "fault" in page.locator("#alarm").text_content(), "a screen reader is told"
+    assert "fault" in page.locator("#alarm").text_content(), "a screen reader is informed"
     before = points(tab)
     page.reload()
     page.wait_for_selector(DRAWN, state="attached")

@@ -51,15 +51,15 @@ def test_what_is_learned():
     assert len(set(learned.assumptions)) == len(learned.assumptions)
 
 
-def test_it_survives_the_vehicle_file_and_judges_from_there(tmp_path):
+def test_it_survives_the_vehicle_file_and_assesses_from_there(tmp_path):
     learned = calibrate([flown(), flown("two.bin")], dynamics=lambda rows, B: {"x0": [0.5] * 20, "noise_weight": 3.0})
     vehicle_file.write(learned, tmp_path / "quad.toml")
     again = vehicle_file.read(tmp_path / "quad.toml")
     assert again.identified == learned.identified
     baseline = [wf.Features.from_dict(t) for t in again.identified["whole_flight"]]
     worse = wf.features(flown(offset=(0.6, 0.0, -0.1, 0.0)), again, ((6.0, 48.0),))
-    assert wf.judge(baseline[0], baseline[1:], again).verdict == "healthy"
-    result = wf.judge(worse, baseline, again)
+    assert wf.assess(baseline[0], baseline[1:], again).verdict == "healthy"
+    result = wf.assess(worse, baseline, again)
     assert result.verdict == "fault" and result.rotors == (1,)
     low, high = result.interval[0]
     assert low < 1.0 - 1.1 / 1.6 < high

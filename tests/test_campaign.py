@@ -225,10 +225,10 @@ from pathlib import Path
 from rotorwatch import campaign
 from rotorwatch_lab.campaign import batch, score, work
 
-def judge(plan, flights, size):
+def assess(plan, flights, size):
     """Rows that tell one flight from another, slowly."""
     time.sleep(0.12)
-    with open(Path(__file__).with_name("judged.txt"), "a") as file:
+    with open(Path(__file__).with_name("assessed.txt"), "a") as file:
         file.write("".join(f"{k}\\n" for k in flights))
     rows = []
     for k in flights:
@@ -236,7 +236,7 @@ def judge(plan, flights, size):
         row = dict.fromkeys(score.COLUMNS)
         row |= {"flight": k, "method": "default", "frame": s.airframe["frame"], "wind_m_s": s.wind["speed_m_s"], "induced_m_s": 5.0,
                 "rotors": 4,
-                "judged_s": 30.0, "healthy_s": 20.0, "fault": "loss" if s.faults else "", "clear": bool(s.faults),
+                "assessed_s": 30.0, "healthy_s": 20.0, "fault": "loss" if s.faults else "", "clear": bool(s.faults),
                 "false_alarms": 0, "sure_false_alarms": 0, "wrong": 0, "trajectory": "hover", "autopilot": "ardupilot",
                 "profile": "default"}
         rows.append(row)
@@ -245,13 +245,13 @@ def judge(plan, flights, size):
 if __name__ == "__main__":
     batch.width = lambda: 4
     plan = campaign.read(sys.argv[1])
-    work.run(plan, int(sys.argv[3]), sys.argv[2], int(sys.argv[4]), judge=judge)
+    work.run(plan, int(sys.argv[3]), sys.argv[2], int(sys.argv[4]), assess=assess)
 '''
 
 
 @pytest.fixture
 def fake(tmp_path):
-    """Start a campaign with a judge that takes no time to compile: run(folder, flights, jobs) -> process; and what it judged."""
+    """Start a campaign with an assess that takes no time to compile: run(folder, flights, jobs) -> process; and what it assessed."""
     script, plan = tmp_path / "fake_campaign.py", written(tmp_path)
     script.write_text(FAKE)
 
@@ -260,11 +260,11 @@ def fake(tmp_path):
         command = [sys.executable, str(script), str(plan), str(folder), str(flights), str(jobs)]
         return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE)
 
-    def judged():
-        path = tmp_path / "judged.txt"
+    def assessed():
+        path = tmp_path / "assessed.txt"
         return [int(line) for line in path.read_text().split()] if path.exists() else []
 
-    return start, judged
+    return start, assessed
 
 
 def parts(folder):
@@ -273,7 +273,7 @@ def parts(folder):
 
 @pytest.mark.thorough
 def test_killed_twice_and_the_same_table(fake, tmp_path):
-    start, judged = fake
+    start, assessed = fake
     rng = np.random.default_rng()
     finished: list[str] = []
     for _ in range(2):
@@ -286,20 +286,20 @@ def test_killed_twice_and_the_same_table(fake, tmp_path):
         process.wait()
         process.stderr.close()
         time.sleep(0.3)  # the workers see that they are alone
-        before = len(judged())
+        before = len(assessed())
         time.sleep(0.3)
-        assert len(judged()) == before, "workers outlive a killed campaign"
+        assert len(assessed()) == before, "workers outlive a killed campaign"
         now = parts(tmp_path / "killed")
         assert set(finished) <= set(now) and len(now) < 20
         finished = now
     kept = {k for name in finished for k in numbers(name)}
-    before = len(judged())
+    before = len(assessed())
     for folder, flights, jobs in (("killed", 80, 2), ("whole", 80, 1)):
         process = start(tmp_path / folder, flights, jobs)
         assert process.wait(60) == 0, process.stderr.read()
         process.stderr.close()
         if folder == "killed":
-            again = judged()[before:]
+            again = assessed()[before:]
             assert not kept & set(again) and len(again) == len(set(again)) == 80 - len(kept)  # nothing twice, nothing lost
     killed, whole = (store.Folder(tmp_path / name).table() for name in ("killed", "whole"))
     assert killed.num_rows == 80 and killed.equals(whole)
@@ -322,21 +322,21 @@ def test_more_flights_add_to_what_is_there(tmp_path, monkeypatch):
     monkeypatch.setattr(work.batch, "width", lambda: 4)
     plan, seen = campaign.read(written(tmp_path)), []
 
-    def judge(plan, flights, size):
+    def assess(plan, flights, size):
         seen.extend(flights)
         return quick(plan, flights, size)
 
-    told = []
-    work.run(plan, 5, tmp_path / "a", 1, judge=judge)
-    work.run(plan, 5, tmp_path / "a", 1, judge=judge)
-    grown = work.run(plan, 23, tmp_path / "a", 1, lambda *a: told.append(a), judge)
+    reported = []
+    work.run(plan, 5, tmp_path / "a", 1, assess=assess)
+    work.run(plan, 5, tmp_path / "a", 1, assess=assess)
+    grown = work.run(plan, 23, tmp_path / "a", 1, lambda *a: reported.append(a), assess)
     assert sorted(seen) == list(range(23))
-    assert grown.equals(work.run(plan, 23, tmp_path / "b", 1, judge=judge))
-    assert work.run(plan, 7, tmp_path / "a", 1, judge=judge)["flight"].to_pylist() == list(range(7))
-    assert told[0][:2] == (5, 23) and told[-1][:2] == (23, 23) and told[-1][2] > 0
+    assert grown.equals(work.run(plan, 23, tmp_path / "b", 1, assess=assess))
+    assert work.run(plan, 7, tmp_path / "a", 1, assess=assess)["flight"].to_pylist() == list(range(7))
+    assert reported[0][:2] == (5, 23) and reported[-1][:2] == (23, 23) and reported[-1][2] > 0
 
 
-def test_an_error_in_a_process_is_told(fake, tmp_path):
+def test_an_error_in_a_process_is_reported(fake, tmp_path):
     start, _ = fake
     script = tmp_path / "fake_campaign.py"
     script.write_text(FAKE.replace("    time.sleep(0.12)", "    raise ValueError('planted')"))
@@ -348,23 +348,23 @@ def test_an_error_in_a_process_is_told(fake, tmp_path):
 def test_folders_of_other_campaigns_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(work.batch, "width", lambda: 4)
     plan = campaign.read(written(tmp_path))
-    work.run(plan, 2, tmp_path / "a", 1, judge=quick)
+    work.run(plan, 2, tmp_path / "a", 1, assess=quick)
     other = campaign.read(written(tmp_path, TEXT.replace("seed = 5", "seed = 6")))
     with pytest.raises(ConfigError, match="another plan"):
-        work.run(other, 2, tmp_path / "a", 1, judge=quick)
+        work.run(other, 2, tmp_path / "a", 1, assess=quick)
     monkeypatch.setattr(work, "__version__", "9.9")
     with pytest.raises(ConfigError, match=r"begun with rotorwatch .* this is 9.9"):
-        work.run(plan, 2, tmp_path / "a", 1, judge=quick)
+        work.run(plan, 2, tmp_path / "a", 1, assess=quick)
     monkeypatch.undo()
     monkeypatch.setattr(work.methods, "engine", lambda: "other")
     with pytest.raises(ConfigError, match=r"begun with (native|jax) code, here is other"):
-        work.run(plan, 2, tmp_path / "a", 1, judge=quick)
+        work.run(plan, 2, tmp_path / "a", 1, assess=quick)
     monkeypatch.undo()
     with store.Folder(tmp_path / "a").locked(), pytest.raises(ConfigError, match="Another campaign is running"):
-        work.run(plan, 2, tmp_path / "a", 1, judge=quick)
+        work.run(plan, 2, tmp_path / "a", 1, assess=quick)
     for flights, jobs in ((0, 1), (1, 0)):
         with pytest.raises(ConfigError, match="must be at least 1"):
-            work.run(plan, flights, tmp_path / "b", jobs, judge=quick)
+            work.run(plan, flights, tmp_path / "b", jobs, assess=quick)
 
 
 def test_intermittent_faults_can_be_planned():
@@ -386,25 +386,25 @@ def test_intermittent_faults_can_be_planned():
         ("parts/00-00000-0000-0001.parquet", b"junk", "00-00000-0000-0001.parquet is damaged"),
     ],
 )
-def test_damaged_folders_are_told(tmp_path, monkeypatch, name, data, says):
+def test_damaged_folders_are_reported(tmp_path, monkeypatch, name, data, says):
     monkeypatch.setattr(work.batch, "width", lambda: 4)
     plan = campaign.read(written(tmp_path))
-    work.run(plan, 1, tmp_path / "a", 1, judge=quick)
+    work.run(plan, 1, tmp_path / "a", 1, assess=quick)
     path = tmp_path / "a" / name
     path.unlink() if data is None else path.write_bytes(data)
     with pytest.raises(ConfigError, match=says) as why:
-        work.run(plan, 1, tmp_path / "a", 1, judge=quick)
+        work.run(plan, 1, tmp_path / "a", 1, assess=quick)
     assert "\n" not in str(why.value)
 
 
 @pytest.mark.parametrize("where", ["{}/file", "{}/file/under", "/proc/campaign"])
-def test_folders_that_cannot_be_made_are_told(tmp_path, where):
+def test_folders_that_cannot_be_made_are_reported(tmp_path, where):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="Cannot make the folder "):
-        work.run(campaign.read(written(tmp_path)), 1, where.format(tmp_path), 1, judge=quick)
+        work.run(campaign.read(written(tmp_path)), 1, where.format(tmp_path), 1, assess=quick)
 
 
-def test_a_flight_that_cannot_fly_is_told_with_its_number(tmp_path):
+def test_a_flight_that_cannot_fly_is_reported_with_its_number(tmp_path):
     """Draws that only together are too much are met by the flight that drew them."""
     changes = [
         (("scenario", "airframe", "mass_kg"), {"choice": [4.0, 1.0]}),
@@ -419,7 +419,7 @@ def test_a_flight_that_cannot_fly_is_told_with_its_number(tmp_path):
 def test_without_pyarrow_one_sentence(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(ConfigError, match="pip install pyarrow"):
-        work.run(campaign.read(written(tmp_path)), 2, tmp_path / "a", 1, judge=quick)
+        work.run(campaign.read(written(tmp_path)), 2, tmp_path / "a", 1, assess=quick)
 
 
 # ---------------------------------------------------------------- statistics
@@ -430,7 +430,7 @@ def made(rows):
             "hover", "rotors": 4, "wind_m_s": 1.0, "induced_m_s": 6.0, "fault": "", "broken": "", "clear": False, "false_alarms": 0,
             "sure_false_alarms": 0,
             "wrong": 0,
-            "judged_s": 36.0, "healthy_s": 36.0, "flight": k} | row for k, row in enumerate(rows)]  # fmt: skip
+            "assessed_s": 36.0, "healthy_s": 36.0, "flight": k} | row for k, row in enumerate(rows)]  # fmt: skip
     types = {"int64": pyarrow.int64(), "string": pyarrow.string(), "double": pyarrow.float64(), "bool": pyarrow.bool_()}
     return pyarrow.Table.from_pylist(full, schema=pyarrow.schema([(c, types[k]) for c, (k, _) in score.COLUMNS.items()]))
 
@@ -472,9 +472,9 @@ def test_a_table_whose_answer_is_known():
 def test_what_the_answers_name():
     """Of healthy flights how often an answer names a rotor, of faults how often it names the broken one, or only others."""
     sound = [{"answer": "healthy", "accused": ""}] * 97 + [{"answer": "ambiguous", "accused": "2+4"}] * 3
-    told = [broken(broken="2", answer=a, accused=w) for a, w in [("fault", "2")] * 6 + [("ambiguous", "2+4")] * 2]
-    told += [broken(broken="2", answer=a, accused=w) for a, w in (("healthy", ""), ("fault", "12"))]
-    rows = made(sound + told).to_pylist()
+    reported = [broken(broken="2", answer=a, accused=w) for a, w in [("fault", "2")] * 6 + [("ambiguous", "2+4")] * 2]
+    reported += [broken(broken="2", answer=a, accused=w) for a, w in (("healthy", ""), ("fault", "12"))]
+    rows = made(sound + reported).to_pylist()
     without = [row | {"method": "ekf", "answer": None, "accused": None} for row in rows]
     found = campaign.summarise(pyarrow.Table.from_pylist(rows + without, schema=made([{}]).schema))["methods"]
     default, ekf = found["default"]["overall"], found["ekf"]["overall"]
@@ -559,7 +559,7 @@ def test_an_empty_table_is_refused():
 def test_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr(work.batch, "width", lambda: 4)
     monkeypatch.setattr(
-        campaign, "run", lambda *a, **k: work.run(*a, judge=lambda *b: made([broken(flight=k) for k in b[1]]).to_pylist(), **k)
+        campaign, "run", lambda *a, **k: work.run(*a, assess=lambda *b: made([broken(flight=k) for k in b[1]]).to_pylist(), **k)
     )
     command = ["campaign", str(written(tmp_path)), "--flights", "9", "--jobs", "1", "-o", str(tmp_path / "out")]
     done = CliRunner().invoke(cli.cli, command, catch_exceptions=False)

@@ -1,4 +1,4 @@
-"""Campaign flights for real: the batch judges as `diagnose` does, however it is split, and what is written down is true."""
+"""Campaign flights for real: the batch assesses as `diagnose` does, however it is split, and what is written down is true."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -42,7 +42,7 @@ def plan():
 
 @pytest.fixture(scope="module")
 def rows(plan):
-    return batch.judge(plan, range(WIDTH), WIDTH)
+    return batch.assess(plan, range(WIDTH), WIDTH)
 
 
 def of(rows, method):
@@ -59,7 +59,7 @@ def test_a_row_per_flight_and_method(plan, rows):
 
 def test_however_it_is_split(plan, rows):
     """Bit for bit: flights do not depend on who they fly with, nor on their place in the batch."""
-    apart = [*batch.judge(plan, [2, 0], WIDTH), *batch.judge(plan, [3], WIDTH), *batch.judge(plan, [1], WIDTH)]
+    apart = [*batch.assess(plan, [2, 0], WIDTH), *batch.assess(plan, [3], WIDTH), *batch.assess(plan, [1], WIDTH)]
 
     def key(row):
         return row["method"], row["flight"]
@@ -67,8 +67,8 @@ def test_however_it_is_split(plan, rows):
     assert sorted(apart, key=key) == sorted(rows, key=key)
 
 
-def test_as_diagnose_judges_the_log(plan, rows):
-    """The first event, its delay and the judged time are those of `diagnose` on the flight's log."""
+def test_as_diagnose_assesses_the_log(plan, rows):
+    """The first event, its delay and the assessed time are those of `diagnose` on the flight's log."""
     some = 0
     for row in of(rows, "default"):
         made = simulate(plan.flight(row["flight"]))
@@ -100,25 +100,25 @@ def test_a_dead_rotor_in_wind_is_not_taken_for_the_other_on_its_arm():
             "faults": [{"kind": "complete loss", "rotor": rotor, "onset_s": onset}],
         }  # fmt: skip
         found = rotorwatch.diagnose(simulate(scenario.from_table(table)).flight)
-        told = [(e.rotors, *e.alternatives) for e in found.events if e.kind == "loss_of_effectiveness"]
-        assert told and all((rotor,) in names for names in told), (frame, told)
+        reported = [(e.rotors, *e.alternatives) for e in found.events if e.kind == "loss_of_effectiveness"]
+        assert reported and all((rotor,) in names for names in reported), (frame, reported)
 
 
 def test_what_wind_hides_is_in_the_answer():
     """An octa that turns in 7 m/s of wind: the answer to the whole flight names the rotor and no other."""
     plan = campaign.read(Path(__file__).parents[1] / "plans" / "default.toml")
-    (row,) = of(batch.judge(plan, [4996], 1), "default")
+    (row,) = of(batch.assess(plan, [4996], 1), "default")
     assert row["loss"] > 0.25 and row["answer"] in ("ambiguous", "fault") and row["accused"] == row["broken"]
 
 
 @pytest.mark.thorough
-def test_native_code_and_jax_judge_alike(plan, rows, monkeypatch):
+def test_native_code_and_jax_assess_alike(plan, rows, monkeypatch):
     """One flight after the other as C, or all side by side in JAX: the same events, numbers to rounding."""
     if methods.engine() != "native":
         pytest.skip("no C compiler, or $ROTORWATCH_BACKEND is not native: the rows are not of native code")
     monkeypatch.setenv("ROTORWATCH_BACKEND", "jax")
     assert methods.engine() == "jax"
-    for one, other in zip(rows, batch.judge(plan, range(WIDTH), WIDTH), strict=True):
+    for one, other in zip(rows, batch.assess(plan, range(WIDTH), WIDTH), strict=True):
         for key, value in one.items():
             same = value == other[key] or value == pytest.approx(other[key], rel=1e-5, abs=1e-5)
             assert same, (one["method"], key, value, other[key])
@@ -133,15 +133,15 @@ def test_no_compiler_no_native_code(monkeypatch):
     assert methods.engine() == "jax"
 
 
-def test_published_methods_are_judged_as_alone(plan, rows):
-    """Side by side, with several thresholds: as `published.judge` does it for each flight."""
+def test_published_methods_are_assessed_as_alone(plan, rows):
+    """Side by side, with several thresholds: as `published.assess` does it for each flight."""
     flown = batch.fly(plan, range(WIDTH), WIDTH)
     B, tables = flown[0].vehicle.effectiveness(), [f.ticks for f in flown]
     hops = [log_plant.hops(table, B) for table in tables]
     for name in ("ekf", "lyapunov"):
-        usual, strict = methods.judge(name, tables, hops, B, WIDTH, ((), (("sigmas", 40.0),)))
+        usual, strict = methods.assess(name, tables, hops, B, WIDTH, ((), (("sigmas", 40.0),)))
         for kept, table, found in zip(usual, tables, hops, strict=True):
-            alone, _ = published.judge(name, table, B, hops=found)
+            alone, _ = published.assess(name, table, B, hops=found)
             for a, b in zip(kept, alone, strict=True):
                 assert np.allclose(a, b, rtol=0, atol=1e-6)
         assert all(k.statistic.max() < u.statistic.max() for k, u in zip(strict, usual, strict=True))
@@ -162,8 +162,8 @@ def test_flights_of_several_hops_learn_alone(plan):
     B = f.vehicle.effectiveness()
     hops = [log_plant.hops(table, B)]
     assert len(hops[0]) == 2
-    kept = methods.judge("ekf", [table], hops, B, WIDTH, ((),))[0][0]
-    alone, _ = published.judge("ekf", table, B)
+    kept = methods.assess("ekf", [table], hops, B, WIDTH, ((),))[0][0]
+    alone, _ = published.assess("ekf", table, B)
     assert np.allclose(kept.statistic, alone.statistic, rtol=0, atol=1e-6)
     assert (kept.statistic[hops[0][1].rows] > -50.0).all()
 
@@ -173,15 +173,15 @@ def test_the_truth_is_written_down(plan, rows):
         scenario = plan.flight(row["flight"])
         assert row["wind_m_s"] == scenario.wind["speed_m_s"] and bool(row["fault"]) == bool(scenario.faults)
         if not scenario.faults:
-            assert row["healthy_s"] == row["judged_s"] and row["onset_s"] is None and row["bound_sd"] is None
+            assert row["healthy_s"] == row["assessed_s"] and row["onset_s"] is None and row["bound_sd"] is None
             continue
         fault = scenario.faults[0]
         assert (row["onset_s"], row["broken"], row["clear"]) == (fault["onset_s"], str(fault["rotor"]), True)
         assert row["loss"] == pytest.approx(fault["strength"], abs=1e-9)
-        assert row["healthy_s"] < row["judged_s"]
+        assert row["healthy_s"] < row["assessed_s"]
 
 
-def test_calm_flights_are_judged_well_and_bounds_are_below(rows):
+def test_calm_flights_are_assessed_well_and_bounds_are_below(rows):
     for row in of(rows, "default"):
         assert row["false_alarms"] == 0 and row["peak"] < 0.0
         if row["fault"]:
@@ -212,16 +212,16 @@ def test_rules_that_name_rotors_only():
 def test_peaks_need_to_last(plan):
     f = batch.fly(plan, [0], WIDTH)[0]
     assert f.ticks.dt == 0.1
-    judged = np.flatnonzero(f.ticks.mode == 2)
+    assessed = np.flatnonzero(f.ticks.mode == 2)
     statistic = np.full(len(f.ticks.time), -9.0)
-    statistic[judged[20]] = 7.0
+    statistic[assessed[20]] = 7.0
     assert score._peaks(f, statistic, None) == {"peak": -9.0}
-    statistic[judged[20] + 1] = 5.0
+    statistic[assessed[20] + 1] = 5.0
     assert score._peaks(f, statistic, None) == {"peak": 5.0}
-    onset = float(f.ticks.time[judged[10]])
+    onset = float(f.ticks.time[assessed[10]])
     found = score._peaks(f, statistic, onset)
     assert (found["peak"], found["peak_1s"], found["peak_2s"]) == (-9.0, -9.0, 5.0)
-    statistic[: judged[0]] = 99.0  # what is not judged does not count
+    statistic[: assessed[0]] = 99.0  # what is not assessed does not count
     assert score._peaks(f, statistic, None) == {"peak": 5.0}
 
 

@@ -52,8 +52,8 @@ def fake(monkeypatch, tmp_path):
     def diagnose(flight, vehicle=None, baseline=(), estimator="default", progress=None, tuning=None, matters=0.2):
         verdict = flight.name.split("-")[0].removesuffix(".bin")
         flight = {**hexa_diagnosis().flight, "name": flight.name}
-        told = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}, {matters:g}"
-        return hexa_diagnosis(verdict=verdict, flight=flight, baseline=told)
+        reported = f"{len(baseline)} baseline, vehicle {getattr(vehicle, 'name', None)}, estimator {estimator}, {matters:g}"
+        return hexa_diagnosis(verdict=verdict, flight=flight, baseline=reported)
 
     module = ModuleType("rotorwatch.diagnose")
     module.diagnose = diagnose
@@ -94,7 +94,7 @@ def test_json_of_one_log_is_an_object_and_of_several_a_list(fake, run):
     code, out, err = run("diagnose", "fault.bin", "broken.bin", "healthy.bin", "--json")
     first, broken, last = json.loads(out)
     assert (code, first["verdict"], last["verdict"]) == (2, "fault", "healthy")
-    assert broken == {"schema": 2, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
+    assert broken == {"schema": 3, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
     assert err == "rotorwatch: broken.bin: not a flight log.\n"
 
 

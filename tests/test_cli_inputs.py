@@ -37,7 +37,7 @@ def typed(monkeypatch):
 # Where logs come from
 
 
-def test_a_log_from_standard_input_is_told_by_its_content():
+def test_a_log_from_standard_input_is_reported_by_its_content():
     done = outside("info", "-", "--json", input=SAMPLE.read_bytes())
     facts = json.loads(done.stdout)
     assert done.returncode == 0 and facts["name"] == "standard input" and facts["autopilot"] == "ArduPilot"

@@ -41,7 +41,7 @@ def test_table_of_claims(run):
         assert words in out
 
 
-def test_claims_judged_for_several_forms_have_a_table(run):
+def test_claims_assessed_for_several_forms_have_a_table(run):
     _, out, _ = run("reproduce", "axkf")
     assert all(words in out for words in ("as printed", "mended", "refuted"))
     _, out, _ = run("reproduce", "axkf", "--json")

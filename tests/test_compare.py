@@ -12,7 +12,7 @@ from rotorwatch import airframes, diagnose
 from rotorwatch.case.conductor import Case
 from rotorwatch.commands import cli
 from rotorwatch.engine.bindings import program
-from rotorwatch.engine.motion.tick_table import JUDGE
+from rotorwatch.engine.motion.tick_table import ASSESS
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.experiments import tools
@@ -37,8 +37,8 @@ def test_simulated_flights_fly_and_hold_the_truth(quads):
     assert healthy.faults == () and len(faulty.faults) == 1 and faulty.group == "simulated quad-x"
     ((rotor, onset, loss),) = faulty.faults
     t = faulty.ticks
-    assert (t.mode == JUDGE).sum() * t.dt > 10 and not t.upset.any() and loss == 0.4
-    after = (t.time > onset + 2.0) & (t.mode == JUDGE)
+    assert (t.mode == ASSESS).sum() * t.dt > 10 and not t.upset.any() and loss == 0.4
+    after = (t.time > onset + 2.0) & (t.mode == ASSESS)
     # The controller makes up for the loss: the others as before, the faulty rotor 1 / (1 - 0.4) times as much.
     others = np.delete(t.thrust[after].mean(axis=0), rotor - 1)
     assert abs(t.thrust[after, rotor - 1].mean() * 0.6 / others.mean() - 1.0) < 0.05
@@ -63,7 +63,7 @@ def event(rotors, detected, loss=0.4, alternatives=(), onset=None):
 
 
 @pytest.fixture
-def judged(quads, monkeypatch):
+def assessed(quads, monkeypatch):
     """trial(events, theta of the faulty rotor): what is made of that in the faulty scene."""
     scene = quads[1]
 
@@ -72,7 +72,7 @@ def judged(quads, monkeypatch):
         if which.faults:
             shown[:, which.faults[0][0] - 1] = theta
         out = program.TickOutput(*[shown] * len(program.TickOutput._fields))
-        monkeypatch.setattr(published, "judge", lambda *a, **k: (out, None))
+        monkeypatch.setattr(published, "assess", lambda *a, **k: (out, None))
         said = SimpleNamespace(end=SimpleNamespace(events=tuple(found)))
         monkeypatch.setattr(Case, "by", lambda self, done: SimpleNamespace(answer=lambda: said))
         return study._trial("ekf", which)
@@ -80,30 +80,30 @@ def judged(quads, monkeypatch):
     return trial
 
 
-def test_what_counts(quads, judged):
+def test_what_counts(quads, assessed):
     ((rotor, onset, _),) = quads[1].faults
     other = rotor % 4 + 1
-    good = judged([event((rotor,), onset + 0.5)])
+    good = assessed([event((rotor,), onset + 0.5)])
     assert good["right"] and good["named"] and good["covered"] and good["false_alarms"] == 0
     assert abs(good["delay_s"] - 0.5) < 1e-9 and good["square"] < 1e-12
-    assert judged([], theta=0.0)["square"] == pytest.approx(0.16)
-    wrong = judged([event((other,), onset + 0.5)])
+    assert assessed([], theta=0.0)["square"] == pytest.approx(0.16)
+    wrong = assessed([event((other,), onset + 0.5)])
     assert "right" not in wrong and wrong["false_alarms"] == 1
-    late = judged([event((other,), onset + 0.5), event((rotor,), onset + 2.0)])
+    late = assessed([event((other,), onset + 0.5), event((rotor,), onset + 2.0)])
     assert not late["right"] and late["named"] and late["false_alarms"] == 1 and abs(late["delay_s"] - 2.0) < 1e-9
-    early = judged([event((rotor,), onset - 3.0)])
+    early = assessed([event((rotor,), onset - 3.0)])
     assert "delay_s" not in early and early["false_alarms"] == 1
-    unsure = judged([event((other,), onset + 1.0, alternatives=((rotor,),))])
+    unsure = assessed([event((other,), onset + 1.0, alternatives=((rotor,),))])
     assert not unsure["right"] and unsure["named"] and unsure["false_alarms"] == 0
-    off = judged([event((rotor,), onset + 0.5, loss=0.2)])
+    off = assessed([event((rotor,), onset + 0.5, loss=0.2)])
     assert off["right"] and not off["covered"]
-    assert judged([event((1,), 15.0)], which=quads[0])["false_alarms"] == 1
+    assert assessed([event((1,), 15.0)], which=quads[0])["false_alarms"] == 1
 
 
-def test_errors_are_compared_block_by_block(quads, judged):
+def test_errors_are_compared_block_by_block(quads, assessed):
     """The seconds before an onset and the settled ones after it, in blocks; a constant error of one rotor of four is a quarter of it."""
     ((_, onset, _),) = quads[1].faults
-    exact, late = judged([])["blocks"], judged([], theta=0.3)["blocks"]
+    exact, late = assessed([])["blocks"], assessed([], theta=0.3)["blocks"]
     assert len(exact) == len(late) >= 4 and onset + study.SETTLED_S < quads[1].ticks.time[-1]
     assert exact[-1] == pytest.approx(0.0, abs=1e-12) and late[-1] == pytest.approx(0.025)
     assert exact[0] == pytest.approx(0.1)  # 0.4 is shown from the start
@@ -120,7 +120,7 @@ def test_the_paired_test_is_wilcoxons():
 
 def test_the_better_one_is_first_and_the_others_have_a_p(quads):
     def row(rmse):
-        return study._row([{"judged_s": 60.0, "fault": True, "false_alarms": 0, "square": rmse**2}])
+        return study._row([{"assessed_s": 60.0, "fault": True, "false_alarms": 0, "square": rmse**2}])
 
     group, errors = quads[0].group, np.linspace(0.01, 0.02, 12)
     found = [
@@ -146,7 +146,7 @@ def test_losses_over_time_are_the_truth_of_a_single_log(tmp_path):
 
 
 def test_rows_add_up():
-    hour = {"judged_s": 1800.0}
+    hour = {"assessed_s": 1800.0}
     trials = [
         hour | {"fault": True, "false_alarms": 1, "square": 0.01, "delay_s": 1.0, "right": True, "named": True, "covered": True},
         hour | {"fault": True, "false_alarms": 0, "square": 0.16},
@@ -180,7 +180,7 @@ def test_methods_that_cannot_run_say_why(quads, monkeypatch):
     def refuse(*a, **k):
         raise ConfigError("needs a helicopter.")
 
-    monkeypatch.setattr(published, "judge", refuse)
+    monkeypatch.setattr(published, "assess", refuse)
     result = study.compare(quads, ["ekf"])
     assert result["failed"] == {"ekf": "needs a helicopter."}
     assert "`ekf`: needs a helicopter." in study.markdown(result)
@@ -250,7 +250,7 @@ def test_what_is_through_is_printed_when_it_is_interrupted(quads, monkeypatch):
     """Before anything runs the names are said; each estimator as soon as it is through; Ctrl-C ends with those."""
 
     def each(scenes, names, progress=None):
-        row = study._row([{"judged_s": 60.0, "fault": False, "false_alarms": 1}])
+        row = study._row([{"assessed_s": 60.0, "fault": False, "false_alarms": 1}])
         yield study.Compared("default", {scenes[0].group: row}, 3.0)
         raise KeyboardInterrupt
 

@@ -42,7 +42,7 @@ OVERRIDE = dict(kind="output_override", loss=(), interval=(), reason="output 3 w
         ({"events": (), "whole_flight": whole("fault", (3,), 0.3)}, "Rotor 3 (front left) gave less thrust than on healthy"),
         ({"events": (), "whole_flight": whole("healthy")}, "All rotors perform as on healthy flights."),
         ({"events": ()}, "No rotor lost thrust after take-off. Damage present at take-off was not assessed."),
-        ({"events": (), "judged_s": 1.0}, "Not assessed: hardly any of the log is flight."),
+        ({"events": (), "assessed_s": 1.0}, "Not assessed: hardly any of the log is flight."),
         ({"events": (hexa_event(alternatives=((1, 4),)),)}, "rotor 3 (front left), or rotors 1 (right) and 4 (rear right)"),
         (
             {"events": (), "whole_flight": whole("ambiguous", (3,), 0.3, ((3,), (1,), ()))},
@@ -93,15 +93,15 @@ def population(verdict, rotors=(), loss=0.0):
             {"population": population("fault", (3,), 0.6), "events": (hexa_event(),)},
             "fault",
             "Rotor 3 (front left) lost 37 % (33–41 %) of thrust at 31.20 s.",
-            {"not judged"},
+            {"not assessed"},
         ),
     ],
 )
-def test_without_healthy_flights_damage_from_take_off_is_judged_by_healthy_vehicles_of_any_build(changes, verdict, headline, states):
+def test_without_healthy_flights_damage_from_take_off_is_assessed_by_healthy_vehicles_of_any_build(changes, verdict, headline, states):
     diagnosis = hexa_diagnosis(**{"events": (), **changes})
     assert diagnosis.verdict == verdict
     assert headline in diagnosis.headline
-    assert "not judged" not in diagnosis.headline
+    assert "not assessed" not in diagnosis.headline
     assert {r.from_takeoff for r in diagnosis.rotors} == states
     healthy = [r for r in diagnosis.rotors if r.from_takeoff == "bounded"]
     assert all(0.3 <= r.interval[1] < 0.4 and r.since_takeoff == (0.0, 0.04) for r in healthy)
@@ -139,13 +139,13 @@ def test_a_healthy_flight_may_be_unlike_those_of_other_builds(monkeypatch, chang
         ({"events": (), "doubts": ("Nothing moved.",)}, False),
     ],
 )
-def test_damage_from_take_off_is_not_judged_without_healthy_flights_and_that_is_said(changes, said):
+def test_damage_from_take_off_is_not_assessed_without_healthy_flights_and_that_is_said(changes, said):
     diagnosis = hexa_diagnosis(**changes)
-    unjudged = said and diagnosis.verdict == "healthy"  # beside a loss that is sure it is no news
-    assert ("Damage present at take-off was not assessed." in diagnosis.headline) is unjudged
-    assert ({r.from_takeoff for r in diagnosis.rotors} == {"not judged"}) is (said or "doubts" in changes)
+    unassessed = said and diagnosis.verdict == "healthy"  # beside a loss that is sure it is no news
+    assert ("Damage present at take-off was not assessed." in diagnosis.headline) is unassessed
+    assert ({r.from_takeoff for r in diagnosis.rotors} == {"not assessed"}) is (said or "doubts" in changes)
     healthy = [r for r in diagnosis.rotors if r.status == "healthy"]
-    assert all((r.interval == r.since_takeoff) is said for r in healthy), "the interval is of what was judged"
+    assert all((r.interval == r.since_takeoff) is said for r in healthy), "the interval is of what was assessed"
     assert all(r.since_takeoff == (0.0, 0.04) for r in healthy)
 
 
@@ -169,7 +169,7 @@ def test_an_event_that_ended_is_over():
 
 
 def test_what_became_of_a_loss_after_landing_is_not_known():
-    end = conclude(Evidence((hexa_event(end_s=49.9),), 6, hidden=[0.04] * 6, judged_s=60, hops=((4, 50), (60, 90))))
+    end = conclude(Evidence((hexa_event(end_s=49.9),), 6, hidden=[0.04] * 6, assessed_s=60, hops=((4, 50), (60, 90))))
     assert end.rotors[2].status == "suspect" and end.rotors[2].interval == pytest.approx((0.0, 0.41))
     assert "not assessed again after landing" in end.rotors[2].note
     assert "until the landing at 49.90 s" in end.headline and not any("came back" in step for step in end.advice)
@@ -180,7 +180,7 @@ def test_what_became_of_a_loss_after_landing_is_not_known():
                                        (0.21, 0.3, "healthy"), (1.0, 0.3, "inconclusive"), (1.0, 1.0, "healthy")],
 )  # fmt: skip
 def test_healthy_is_a_claim_up_to_a_loss_that_matters(hidden, matters, verdict):
-    end = conclude(Evidence((), 6, hidden=[0.01] * 5 + [hidden], judged_s=60.0, matters=matters))
+    end = conclude(Evidence((), 6, hidden=[0.01] * 5 + [hidden], assessed_s=60.0, matters=matters))
     bound = up_to(max(hidden, 0.01))
     assert end.verdict == verdict and f"a loss of up to {bound} of one rotor could have gone undetected" in end.reason
     assert "0 % of one" not in end.reason.replace(bound, "")
@@ -189,7 +189,7 @@ def test_healthy_is_a_claim_up_to_a_loss_that_matters(hidden, matters, verdict):
     assert [r.status for r in end.rotors] == [*known, "healthy" if verdict == "healthy" else "unobservable"]
     assert end.rotors[5].since_takeoff == (0.0, hidden)
     if verdict == "inconclusive":
-        assert end.headline.endswith(f": {end_why(end)}.") and end.advice[0] == Evidence((), 6).unjudged.advice
+        assert end.headline.endswith(f": {end_why(end)}.") and end.advice[0] == Evidence((), 6).unassessed.advice
 
 
 def end_why(end):
@@ -211,16 +211,16 @@ def test_a_crash_whose_cause_is_known_and_is_no_rotor_has_its_own_verdict(extra,
     assert "healthy" not in found.headline and found.headline.startswith("The vehicle departed controlled flight")
 
 
-@pytest.mark.parametrize(("pair", "told"), [(0.03, False), (0.15, False), (0.25, True)])
-def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, told):
-    end = conclude(Evidence((), 6, hidden=[0.04] * 6, hidden_pair=pair, judged_s=60.0))
+@pytest.mark.parametrize(("pair", "reported"), [(0.03, False), (0.15, False), (0.25, True)])
+def test_the_bound_speaks_of_pairs_where_more_of_them_hides(pair, reported):
+    end = conclude(Evidence((), 6, hidden=[0.04] * 6, hidden_pair=pair, assessed_s=60.0))
     said = f"oss of up to 4 % of one rotor, or {100 * pair:.0f} % of each of two opposite rotors, could have gone undetected"
-    assert (said in end.reason) == (pair > 0.04) and (said in end.headline) == told
+    assert (said in end.reason) == (pair > 0.04) and (said in end.headline) == reported
 
 
 def test_a_step_that_stayed_names_its_rotors_with_what_they_may_have_lost():
     spell = unexplained_evidence.claim((5, 2), 40.0, 60.0, ((0.18, 0.26), (0.17, 0.25)))
-    end = conclude(Evidence((), 6, hidden=[0.16] * 6, judged_s=60.0, claims=(spell,)))
+    end = conclude(Evidence((), 6, hidden=[0.16] * 6, assessed_s=60.0, claims=(spell,)))
     lost = "rotor 5 had lost 18–26 % or rotor 2 had lost 17–25 % of thrust"
     assert end.verdict == "ambiguous" and f"since 40.00 s the vehicle has flown as if {lost}" in end.reason
     assert end.headline.startswith("Since 40.00 s") and lost in end.headline and "wind" in end.headline
@@ -285,41 +285,41 @@ def test_whole_flight_that_cannot_tell_suspects_all_its_causes():
 
 
 @pytest.mark.parametrize(("until", "verdict"), [(45.0, "healthy"), (28.0, "inconclusive")])
-def test_what_a_knock_broke_is_known_only_where_something_was_judged_after_it(until, verdict):
+def test_what_a_knock_broke_is_known_only_where_something_was_assessed_after_it(until, verdict):
     knock = hexa_event(
         kind="contact", rotors=(), loss=(), interval=(), onset_s=28.5, detected_s=28.5, end_s=28.5, extra={"size": 2.0, "unit": "g"}
     )
-    end = conclude(Evidence((knock,), 6, hidden=[0.04] * 6, judged_s=20.0, judged_until=until))
+    end = conclude(Evidence((knock,), 6, hidden=[0.04] * 6, assessed_s=20.0, assessed_until=until))
     assert end.verdict == verdict and "contact at 28.50 s" in end.headline
     assert {r.status for r in end.rotors} == {"healthy" if verdict == "healthy" else "unobservable"}
 
 
-# What was not judged
+# What was not assessed
 
 
-def judged_of(judged_s, flown=29.0, **more):
-    return conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=judged_s, hops=((3.0, 3.0 + flown),), blind_s=8.0, **more))
+def assessed_of(assessed_s, flown=29.0, **more):
+    return conclude(Evidence((), 4, hidden=np.full(4, 0.02), assessed_s=assessed_s, hops=((3.0, 3.0 + flown),), blind_s=8.0, **more))
 
 
-@pytest.mark.parametrize("judged_s, verdict", [(21.0, "healthy"), (15.0, "healthy"), (12.0, "inconclusive"), (4.0, "inconclusive")])
-def test_what_was_not_judged_is_not_healthy(judged_s, verdict):
-    """Beyond the blind time after a take-off, at least two thirds of a flight have to be judged."""
-    end = judged_of(judged_s)
+@pytest.mark.parametrize("assessed_s, verdict", [(21.0, "healthy"), (15.0, "healthy"), (12.0, "inconclusive"), (4.0, "inconclusive")])
+def test_what_was_not_assessed_is_not_healthy(assessed_s, verdict):
+    """Beyond the blind time after a take-off, at least two thirds of a flight have to be assessed."""
+    end = assessed_of(assessed_s)
     assert end.verdict == verdict
-    assert verdict == "healthy" or f"{judged_s:.0f} s assessed of 29 s in the air" in end.headline
+    assert verdict == "healthy" or f"{assessed_s:.0f} s assessed of 29 s in the air" in end.headline
 
 
 @pytest.mark.parametrize("begins_s, start", [(0.3, "the start of the log"), (3.0, "take-off")])
 def test_a_log_that_begins_in_the_air_holds_no_take_off(begins_s, start):
-    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=25.0, hops=((begins_s, begins_s + 30.0),), blind_s=8.0))
+    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), assessed_s=25.0, hops=((begins_s, begins_s + 30.0),), blind_s=8.0))
     assert f"No rotor lost thrust after {start}." in end.headline and f"after {start};" in end.reason
 
 
 def test_an_event_that_any_rotor_explains_names_none():
     event = Event("loss_of_effectiveness", (1,), 20.0, 20.5, None, (0.2,), ((0.1, 0.3),), 0.4, ((2,), (3,), (4,)), "thrust is missing")
-    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=30.0))
+    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), assessed_s=30.0))
     assert end.verdict == "inconclusive" and "any of the rotors" in end.headline
-    end = conclude(Evidence((replace(event, alternatives=((2,), (3,))),), 4, hidden=np.full(4, 0.02), judged_s=30.0))
+    end = conclude(Evidence((replace(event, alternatives=((2,), (3,))),), 4, hidden=np.full(4, 0.02), assessed_s=30.0))
     assert end.verdict == "ambiguous"
 
 
@@ -327,7 +327,7 @@ def test_a_headline_bounds_what_the_table_shows():
     """Damage from take-off and what may have been lost unseen since, together: the interval of the worst rotor, and no less."""
     compared = {"verdict": "healthy", "interval": [(0.0, 0.3)] * 4, "rotors": [], "loss": [0.0] * 4, "causes": []}
     claim = Event("damage_from_takeoff", (), 0.0, 0.0, None, (), (), 1.0, (), "", compared, from_takeoff.VEHICLES)
-    end = conclude(Evidence((), 4, hidden=np.array([0.02, 0.16, 0.02, 0.02]), judged_s=60.0, claims=(claim,)))
+    end = conclude(Evidence((), 4, hidden=np.array([0.02, 0.16, 0.02, 0.02]), assessed_s=60.0, claims=(claim,)))
     assert max(state.interval[1] for state in end.rotors) <= 0.42 and "is at most 42 % in rotor" in end.headline
 
 
@@ -350,7 +350,7 @@ def test_a_flight_that_leans_to_a_rotor_whose_loss_matters_is_not_healthy(matter
     compared = {"verdict": "healthy", "interval": [(0.0, 0.2), (0.0, 0.2), (0.0, 0.38), (0.0, 0.25)], "rotors": [], "loss": [0.0] * 4,
                 "causes": [], "reason": "", "leaning": leaning}  # fmt: skip
     (claim,) = from_takeoff.claims(compared, from_takeoff.VEHICLES, ((5.0, 65.0),))
-    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=60.0, claims=(claim,), hops=((5.0, 65.0),), matters=matters))
+    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), assessed_s=60.0, claims=(claim,), hops=((5.0, 65.0),), matters=matters))
     assert end.verdict == verdict and end.headline.startswith(first)
     assert {r.rotor for r in end.rotors if r.status == "suspect"} == ({3, 4} if status == "suspect" else set())
     assert end.rotors[2].status == status and end.rotors[2].interval[1] >= 0.38

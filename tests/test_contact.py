@@ -198,7 +198,7 @@ def test_a_loss_long_after_a_knock_is_found_and_one_before_it_stays():
 
 
 def test_an_announcement_that_a_knock_cut_short_keeps_its_size():
-    """Told at 25.3 s, not yet part of the filter when the vehicle hits something half a second later."""
+    """Reported at 25.3 s, not yet part of the filter when the vehicle hits something half a second later."""
     early = (("kind", "loss"), ("rotor", 2), ("onset_s", 25.0), ("strength", 0.5))
     quiet = next(e for e in diagnose(flown((early,))).events if e.rotors)
     answer = diagnose(knocked(flown((early,)), quiet.detected_s + 0.6, shift=0.0))

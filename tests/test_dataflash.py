@@ -329,7 +329,7 @@ def test_what_stops_motors_and_which_core_of_the_estimator_is_used():
     ]  # fmt: skip
 
 
-def test_what_disarmed_is_told():
+def test_what_disarmed_is_reported():
     log = Writer()
     log.define("ARM", "QBIBB", "TimeUS,ArmState,ArmChecks,Forced,Method")
     log.define(*RCOU)
@@ -545,7 +545,7 @@ WILD = Path(__file__).parents[2] / "shared" / "flights" / "wild"
 
 
 @pytest.mark.skipif(not (WILD / "on-its-side-1.bin.xz").is_file(), reason="this flight is missing")
-def test_a_vehicle_whose_outputs_are_passed_through_is_not_judged():
+def test_a_vehicle_whose_outputs_are_passed_through_is_not_assessed():
     from rotorwatch import diagnose
 
     diagnosis = diagnose(WILD / "on-its-side-1.bin.xz")
@@ -566,7 +566,7 @@ def test_a_good_stretch_is_found_again_behind_more_garbage_than_is_looked_at_one
 
 
 @pytest.mark.parametrize("count", [9, 10])
-def test_rates_in_centidegrees_are_told_by_the_gyro_from_ten_samples_on(count):
+def test_rates_in_centidegrees_are_reported_by_the_gyro_from_ten_samples_on(count):
     log = Writer()
     log.define(*IMU)
     log.define(*RATE)

@@ -29,7 +29,7 @@ from rotorwatch.engine.estimator.model_error import Memory
 from rotorwatch.engine.estimator.plant import ANSWER_S, B3, BUILT_SD, BURST_S, PER_AXIS, SIDEWAYS, TAU, THETA, YAW_GAIN
 from rotorwatch.engine.estimator.plausibility import torque_free
 from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, LEARN
 from rotorwatch_lab.experiments import limits
 
 DT = 0.05
@@ -79,7 +79,7 @@ class Method:
         self.usual = self._made().plant
         self.plant = plant_of(self.B, DT, variance=self.usual["variance"][0])
 
-    def told(self, u, y, valid):
+    def reported(self, u, y, valid):
         """The outputs."""
         return self._made().run(u, y, valid)
 
@@ -137,7 +137,7 @@ def hover(frame="ardupilot-quad-x", seed=0, losses=(), ready=READY, bias=(), ans
     for axis, start, size in bias:
         y[start:, axis] += size
     when = np.arange(TICKS)
-    mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, JUDGE))
+    mode = np.where(when < 5, GROUND, np.where(when < ready, LEARN, ASSESS))
     zeros = np.zeros((TICKS, 3))
     curve = np.full(TICKS, EXPO), np.zeros(TICKS)  # known: the tests of an unknown one are in test_thrust_curve.py
     table = [thrust, zeros, np.full(TICKS, n), zeros, zeros[:, :2], np.full(TICKS, FULL), *curve, np.full(TICKS, np.nan), mode, when == 5]
@@ -316,7 +316,7 @@ def test_gains_learn_without_what_the_known_loss_takes(quad, monkeypatch):
 
     monkeypatch.setattr(Memory, "weigh_inputs", spied)
     now = tick(u[k + 1], quad.method.n)
-    now.mode, now.wrench = JUDGE, y[k + 1].tolist()
+    now.mode, now.wrench = ASSESS, y[k + 1].tolist()
     unpacked(Estimator, quad.carries.rows[k]).step(quad.method.plant, now, Result())
     theta = quad.carries.s[k, 0, THETA:]
     assert theta[2] > 0.05
@@ -342,7 +342,7 @@ def test_explanations_go_on_as_kalman_filters_and_are_weighed_by_what_they_predi
         np.testing.assert_allclose(carries.P[last, b], P, atol=1e-9)
     counts = posterior.TEMPER * np.exp(-DT * np.arange(last - k) / BURST_S)
     expected = weight[alive] + counts @ (fits - fits[:, :1])
-    assert np.abs(expected - weight[alive]).max() > 0.01  # there was something to be told
+    assert np.abs(expected - weight[alive]).max() > 0.01  # there was something to distinguish
     np.testing.assert_allclose(carries.weight[last, alive], expected, atol=1e-6)
     share = quad.out.share[last]
     np.testing.assert_allclose(np.log(share[alive] / share[0]), expected, atol=1e-6)
@@ -375,7 +375,7 @@ def test_every_covariance_is_symmetric_and_not_negative(quad):
 @pytest.mark.parametrize("frame, rotor", [("ardupilot-quad-x", 1), ("ardupilot-hexa-x", 4)])
 def test_a_loss_is_announced_with_its_rotor_and_size(frame, rotor):
     method = make(frame)
-    out = method.told(*hover(frame, seed=3, losses=[(rotor, ONSET, 0.25)]))
+    out = method.reported(*hover(frame, seed=3, losses=[(rotor, ONSET, 0.25)]))
     ticks = np.flatnonzero(out.announced)
     assert ticks.size == 1 and ONSET < ticks[0] <= ONSET + 10
     assert method.hyp.rotors[out.best[ticks[0]]] == (rotor,)
@@ -400,7 +400,7 @@ def test_a_rotor_that_a_turn_commands_less_is_announced_all_the_same():
     u[:, :4] += turn
     y += (turn * lost) @ B.T
     with ENGINE.changed({"decisions.CERTAIN_NATS": 1e9}):  # evidence this large asks nothing of the command
-        out = method.told(u, y, valid)
+        out = method.reported(u, y, valid)
     (announced,) = np.flatnonzero(out.announced)
     assert announced - ONSET < 12
     assert out.active[announced, 0].tolist() == [False, True, False, False]
@@ -439,7 +439,7 @@ def test_a_loss_in_wind_has_its_size_whether_or_not_the_rotors_take_the_side_for
         drag = method.drag(u)
         y[:, 2] -= drag.sum(axis=1)
         y[ONSET:, 2] += 0.3 * drag[ONSET:, 0]
-    out = method.told(u, y, valid)
+    out = method.reported(u, y, valid)
     (found,) = np.flatnonzero(out.announced)
     assert ONSET <= found < ONSET + 5
     assert out.theta[[found, -1]] == pytest.approx(np.tile([0.3, 0.0, 0.0, 0.0], (2, 1)), abs=0.025)
@@ -464,7 +464,7 @@ def test_noise_of_the_accelerometer_teaches_nothing_about_side_forces():
 
 def test_a_loss_that_ends_is_announced_as_a_recovery():
     method = make("ardupilot-quad-x")
-    out = method.told(*hover(seed=5, ready=40, losses=[(0, 60, 0.3), (0, 115, -0.3)]))
+    out = method.reported(*hover(seed=5, ready=40, losses=[(0, 60, 0.3), (0, 115, -0.3)]))
     failed, ended = np.flatnonzero(out.announced)
     assert 60 < failed < 75 and 115 < ended < 130
     hyp, best = method.hyp, out.best[ended]
@@ -476,7 +476,7 @@ def test_a_loss_that_ends_is_announced_as_a_recovery():
 
 def test_a_rotor_of_which_nothing_is_known_cannot_recover():
     method = make("ardupilot-quad-x")
-    out = method.told(*hover(seed=9, losses=[(1, ONSET, -0.3)]))
+    out = method.reported(*hover(seed=9, losses=[(1, ONSET, -0.3)]))
     well = [kind == "recovery" for kind in method.hyp.kinds]
     assert out.log_odds[READY:, well].max() < -40.0
     assert not out.announced.any()
@@ -484,7 +484,7 @@ def test_a_rotor_of_which_nothing_is_known_cannot_recover():
 
 def test_a_second_rotor_joins_the_first():
     method = make("ardupilot-quad-x")
-    out = method.told(*hover(seed=5, ready=40, losses=[(0, 60, 0.3), (3, 115, 0.25)]))
+    out = method.reported(*hover(seed=5, ready=40, losses=[(0, 60, 0.3), (3, 115, 0.25)]))
     first, second = np.flatnonzero(out.announced)
     assert 60 < first < 75 and 115 < second < 130
     assert (out.active[first:second, 0] == [True, False, False, False]).all()
@@ -506,16 +506,16 @@ def test_a_new_hop_starts_anew_and_a_contact_ends_the_competition_only(restart, 
     assert carries.weight[ONSET + 30].tolist() == [0.0] + [posterior.NEVER] * 3
 
 
-def test_nothing_is_announced_before_it_may_be_judged():
+def test_nothing_is_announced_before_it_may_be_assessed():
     method = make("ardupilot-quad-x")
-    out = method.told(*hover(seed=6, losses=[(1, 30, 0.4)], ready=TICKS))
+    out = method.reported(*hover(seed=6, losses=[(1, 30, 0.4)], ready=TICKS))
     assert not out.announced.any() and not out.active.any() and not out.theta.any()
 
 
 @pytest.mark.parametrize("axis", range(4))
 def test_a_gust_or_a_payload_is_no_loss(axis):
     method = make("ardupilot-hexa-x")
-    out = method.told(*hover("ardupilot-hexa-x", seed=7, bias=[(axis, ONSET, 0.12)]))
+    out = method.reported(*hover("ardupilot-hexa-x", seed=7, bias=[(axis, ONSET, 0.12)]))
     if axis < 3:
         assert not out.announced.any()
     else:  # opposite rotors would look the same
@@ -536,7 +536,7 @@ def only_pairs_that_look_alike(method, out):
 def test_opposite_rotors_of_a_hexa_are_never_named_with_confidence():
     """Equal losses of two opposite rotors make no torque: a common shift of thrust, as from a battery."""
     method = make("ardupilot-hexa-x")
-    out = method.told(*hover("ardupilot-hexa-x", seed=8, losses=[((0, 1), ONSET, 0.2)]))
+    out = method.reported(*hover("ardupilot-hexa-x", seed=8, losses=[((0, 1), ONSET, 0.2)]))
     assert out.announced.any() and only_pairs_that_look_alike(method, out)
 
 
@@ -544,14 +544,14 @@ def test_a_shift_of_thrust_in_steady_hover_may_be_opposite_rotors_but_not_after_
     """Who has just pushed up or down meets other air: the shift that stays is explained by that."""
     method, n = make("ardupilot-hexa-x"), 6
     u, y, valid = hover("ardupilot-hexa-x", seed=8, losses=[((0, 1), ONSET, 0.25)])
-    steady = method.told(u, y, valid)
+    steady = method.reported(u, y, valid)
     assert steady.announced.sum() == 1 and only_pairs_that_look_alike(method, steady)
     pushed = slice(ONSET - 12, ONSET - 4)
     u, y = u.copy(), y.copy()
     u[pushed, n + 3] += 0.4 * n
     u[pushed, :n] += 0.4
     y[pushed, 3] += 0.4 * n
-    climbed = method.told(u, y, valid)
+    climbed = method.reported(u, y, valid)
     assert not climbed.announced.any()
 
 
@@ -562,17 +562,17 @@ def test_false_alarms_are_as_rare_as_the_threshold_says(amount):
     hyp = method.hyp
     new = hyp.fault & (np.array(hyp.kinds) != "recovery")
     runs = amount(10, 24)
-    tables = [method.told(*hover(seed=1000 + r)) for r in range(runs)]
+    tables = [method.reported(*hover(seed=1000 + r)) for r in range(runs)]
     total = np.exp(np.stack([out.log_odds[READY:, new] for out in tables])).sum(axis=2)
     each = hyp.weight[new].sum()
-    judged = np.arange(1, TICKS - READY + 1)
-    assert total.mean(axis=0)[-1] < 2.0 * each * judged[-1]
-    worst = (total / (each * judged[-1])).max(axis=1)
+    assessed = np.arange(1, TICKS - READY + 1)
+    assert total.mean(axis=0)[-1] < 2.0 * each * assessed[-1]
+    worst = (total / (each * assessed[-1])).max(axis=1)
     for level in (5.0, 20.0):
         expected = runs / level
         assert (worst > level).sum() <= expected + 3 * np.sqrt(expected), level
     assert not any(out.announced.any() for out in tables)
-    assert np.median(total[:, -1]) < each * judged[-1]
+    assert np.median(total[:, -1]) < each * assessed[-1]
 
 
 def test_the_threshold_follows_from_a_false_alarm_rate():

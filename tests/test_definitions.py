@@ -422,8 +422,8 @@ def test_several_definitions_are_shipped_side_by_side(made, tmp_path):
     index = json.loads((tmp_path / shipped.DEFINITIONS).read_text())
     assert set(index) == {"made", "other"} and index["made"]["digest"] != index["other"]["digest"]
     assert index["other"]["digest"] == shipped.digest(sorted(["logs/table.py", *TRANSLATOR]))
-    for name, told in index.items():
-        assert told["libraries"] == {"": [f"{name}.so", shipped.digest_of(tmp_path / f"{name}.so")]}
+    for name, reported in index.items():
+        assert reported["libraries"] == {"": [f"{name}.so", shipped.digest_of(tmp_path / f"{name}.so")]}
 
 
 @settings(max_examples=trials(100), deadline=None)

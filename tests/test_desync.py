@@ -78,7 +78,7 @@ def test_desyncs_are_found_with_motor_time_and_length(name, rotor, lasting, rpm,
     assert {d.rotor for d in here} == {rotor}
     assert least <= len(here) <= len(AT)
     for d in here:
-        assert min(abs(d.start - t) for t in AT) < (0.02 if rpm else 0.25)  # a motor that is told little is missed late
+        assert min(abs(d.start - t) for t in AT) < (0.02 if rpm else 0.25)  # a motor that is commanded little is missed late
         assert not d.others
         if rpm:
             assert abs(d.end - d.start - lasting) < 0.03
@@ -141,14 +141,14 @@ def test_a_motor_that_comes_from_rest_is_none():
 
 
 def test_speed_of_another_motor_says_nothing():
-    """A desync that the motion shows, while the motor's own speed stays as it was told, is none."""
+    """A desync that the motion shows, while the motor's own speed stays as it was reported, is none."""
     channels = seen("long", True)
     healthy = {c.rotor: c for c in seen("healthy", True)}
     mixed = [c if c.rotor != 2 else healthy[2] for c in channels]
     assert len(desync.search(mixed)) < len(found("long", True))
 
 
-def test_a_short_or_slow_log_is_not_judged():
+def test_a_short_or_slow_log_is_not_assessed():
     flight = flights()["healthy"]
     vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     assert innovation.channels(flight, vehicle, ((10.0, 15.0),)) == []
@@ -164,12 +164,12 @@ def test_the_fit_stays_right_in_closed_loop():
         assert 0.0 < c.answer.sum() < gain
 
 
-def test_a_motor_turns_to_what_it_is_told_with_a_lag():
-    told = np.random.default_rng(1).uniform(size=(1000, 4))
-    keep, slow = np.exp(-0.004 / innovation.TURNING_S), told.copy()
-    for k in range(1, len(told)):
-        slow[k] = keep * slow[k - 1] + (1.0 - keep) * told[k]
-    assert innovation._slow(told, 0.004) == pytest.approx(slow, abs=1e-8)
+def test_a_motor_turns_to_what_it_is_reported_with_a_lag():
+    reported = np.random.default_rng(1).uniform(size=(1000, 4))
+    keep, slow = np.exp(-0.004 / innovation.TURNING_S), reported.copy()
+    for k in range(1, len(reported)):
+        slow[k] = keep * slow[k - 1] + (1.0 - keep) * reported[k]
+    assert innovation._slow(reported, 0.004) == pytest.approx(slow, abs=1e-8)
 
 
 def one(rotor=0, start=10.0, lasting=0.1, ratio=5.0, others=()):

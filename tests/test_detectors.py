@@ -146,8 +146,8 @@ def test_model_and_band_of_the_autopilot_count_where_its_check_was_on():
     flight = in_flight((1, 1, 0.5, 1))
     own = {"FD_ACT_EN": 1.0, "MOTFAIL_QUAD": 20.0, "MOTFAIL_C2T": 0.0, "MOTFAIL_IDLE": 0.8, "MOTFAIL_TIME": 1.0}
     for band, found in ((1.0, [3]), (9.0, [])):
-        told = current_residual.detect(replace(flight, parameters={**own, "MOTFAIL_OFF": band}), QUAD, ALWAYS)
-        assert [one["rotor"] for one in told] == found and not any("fitted" in one["reason"] for one in told)
+        reported = current_residual.detect(replace(flight, parameters={**own, "MOTFAIL_OFF": band}), QUAD, ALWAYS)
+        assert [one["rotor"] for one in reported] == found and not any("fitted" in one["reason"] for one in reported)
     sides = {**own, "MOTFAIL_UNDER": 9.0, "MOTFAIL_OVER": 1.0, "MOTFAIL_OVR_TIME": 2.5}
     assert current_residual.detect(replace(flight, parameters=sides), QUAD, ALWAYS) == ()
     (over,) = current_residual.detect(replace(in_flight((1, 2, 1, 1)), parameters=sides), QUAD, ALWAYS)
@@ -179,9 +179,9 @@ def test_simulated_motors_that_fail(fault, word):
         "faults": [] if fault is None else [{"rotor": 2, "onset_s": 16.0, **fault}],
     }  # fmt: skip
     flight = simulate(scenario.from_table(table)).flight
-    told = current_residual.detect(flight, airframes.identify(flight), ((4.0, 24.0),))
-    assert [one["rotor"] for one in told] == ([] if fault is None else [2])
-    assert all(word in one["reason"] and 16.0 < one["time_s"] < 17.5 for one in told)
+    reported = current_residual.detect(flight, airframes.identify(flight), ((4.0, 24.0),))
+    assert [one["rotor"] for one in reported] == ([] if fault is None else [2])
+    assert all(word in one["reason"] and 16.0 < one["time_s"] < 17.5 for one in reported)
 
 
 def test_nothing_without_signals():

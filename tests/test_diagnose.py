@@ -49,7 +49,7 @@ def flight(path):
 
 
 @functools.cache
-def judged(path):
+def assessed(path):
     return diagnose(flight(path))
 
 
@@ -108,7 +108,7 @@ def test_a_hopeless_file_exits_with_2_and_one_sentence(name):
 def test_an_event_is_there_as_soon_as_it_was_announced(name):
     """Cut 0.2 s after the announcement: what a live observer would have had says the same, at the same time."""
     path = sample(name)
-    (event,) = losses(judged(path))
+    (event,) = losses(assessed(path))
     assert event.rotors == (SITL_FAULTS[name][0],)
     (live,) = losses(diagnose(flight(path).until(event.detected_s + 0.2)))
     assert live.detected_s == event.detected_s and live.rotors == event.rotors
@@ -132,9 +132,9 @@ def spoilt(flight, after):
 @pytest.mark.parametrize("later", [0.3, 3.0])  # sooner, garbage ends the loss, and one of a moment is none
 def test_what_was_announced_does_not_depend_on_what_came_later(later, monkeypatch):
     path = sample(FAULTY)
-    (event,) = losses(judged(path))
+    (event,) = losses(assessed(path))
     after = event.detected_s + later
-    # Garbage is no log to trust, and the answer as a whole says so; what a live observer was told stands.
+    # Garbage is no log to trust, and the answer as a whole says so; what a live observer was given stands.
     monkeypatch.setattr("rotorwatch.engine.motion.trust.TESTS", ())
     found = [e for e in losses(diagnose(spoilt(flight(path), after))) if e.detected_s <= after]
     assert [(e.detected_s, e.rotors) for e in found][:1] == [(event.detected_s, event.rotors)]
@@ -165,7 +165,7 @@ def test_every_flight_known_to_be_healthy_is_in_the_list():
 
 @pytest.mark.parametrize("name", HEALTHY_FLIGHTS)
 def test_no_false_alarm(name):
-    diagnosis = judged(shared(name))
+    diagnosis = assessed(shared(name))
     assert losses(diagnosis) == [], diagnosis.reason
     if name.endswith("log171.bin.xz"):  # it lands, and turns over on the ground with its motors on
         assert diagnosis.verdict == "inconclusive" and "turned over on the ground" in diagnosis.reason
@@ -177,8 +177,8 @@ def test_no_false_alarm(name):
     assert all(r.loss == 0 and r.interval[1] > 0 for r in diagnosis.rotors)
 
 
-def test_two_hops_in_one_file_are_both_flown_and_judged():
-    diagnosis = judged(shared("ardupilot-real-twoflights/sample.bin.xz"))
+def test_two_hops_in_one_file_are_both_flown_and_assessed():
+    diagnosis = assessed(shared("ardupilot-real-twoflights/sample.bin.xz"))
     hops = diagnosis.flight["hops"]
     assert len(hops) >= 2 and hops[-1][0] - hops[0][1] > 500  # the gap between the flights
     trace = diagnosis.trace
@@ -193,7 +193,7 @@ def test_two_hops_in_one_file_are_both_flown_and_judged():
 
 
 def test_blind_time_without_a_baseline_is_8_s_and_said():
-    diagnosis = judged(sample(HEALTHY))
+    diagnosis = assessed(sample(HEALTHY))
     (start, end, why), *_ = diagnosis.trace.blind
     assert start == pytest.approx(diagnosis.flight["airborne_s"][0], abs=1e-3) and why
     assert 0 < end - start <= 8.0
@@ -211,7 +211,7 @@ def test_blind_time_with_a_baseline_is_3_s():
     (start, end, _), *_ = diagnosis.trace.blind
     assert 0 < end - start <= 3.0
     assert "1 healthy flight" in diagnosis.baseline
-    assert not any("cannot be judged without" in a for a in diagnosis.assumptions)
+    assert not any("cannot be assessed without" in a for a in diagnosis.assumptions)
     assert diagnosis.whole_flight is not None and losses(diagnosis) == []
 
 
@@ -235,7 +235,7 @@ def test_a_flight_that_never_took_off_is_inconclusive():
 
 def test_a_flight_of_a_few_seconds_is_inconclusive():
     healthy = flight(sample(HEALTHY))
-    lift_off = judged(sample(HEALTHY)).flight["airborne_s"][0]
+    lift_off = assessed(sample(HEALTHY)).flight["airborne_s"][0]
     diagnosis = diagnose(healthy.until(lift_off + 5.0))
     assert diagnosis.verdict == "inconclusive" and losses(diagnosis) == []
     assert diagnosis.headline.startswith("Not assessed: 6 s of flight are needed, 5")
@@ -246,16 +246,16 @@ def test_an_unknown_estimator_is_refused_with_the_known_ones():
         diagnose(sample(HEALTHY), estimator="crystal ball")
 
 
-def test_progress_is_told_in_order_and_all_the_way(monkeypatch):
+def test_progress_is_reported_in_order_and_all_the_way(monkeypatch):
     """No step of a diagnosis, nor of `info`, is silent: of a long log each takes seconds."""
     for module in (driver, air_spans):
         monkeypatch.setattr(module, "pieces", functools.partial(definition.pieces, most=1000))
-    told = []
-    diagnose(sample(HEALTHY), progress=lambda share, text="": told.append(share))
-    assert told == sorted(told) and told[-1] == 1.0 and max(np.diff(told)) < 0.08
-    told = []
-    info.info(flight(sample(HEALTHY)), progress=told.append)
-    assert told == sorted(told) and max(np.diff([0.0, *told, 1.0])) < 0.25
+    reported = []
+    diagnose(sample(HEALTHY), progress=lambda share, text="": reported.append(share))
+    assert reported == sorted(reported) and reported[-1] == 1.0 and max(np.diff(reported)) < 0.08
+    reported = []
+    info.info(flight(sample(HEALTHY)), progress=reported.append)
+    assert reported == sorted(reported) and max(np.diff([0.0, *reported, 1.0])) < 0.25
 
 
 # Other faults
@@ -335,26 +335,26 @@ def test_a_damaged_file_gives_one_sentence_or_a_verdict_that_is_never_fault(name
 
 
 @pytest.mark.parametrize("estimator", ["default", "ekf"])
-def test_a_flight_that_is_judged_twice_gets_the_same_answer(estimator):
-    """A case is not changed by its answer, nor by being judged by other outputs: no sentence is said twice."""
+def test_a_flight_that_is_assessed_twice_gets_the_same_answer(estimator):
+    """A case is not changed by its answer, nor by being assessed by other outputs: no sentence is said twice."""
     from rotorwatch.diagnose import estimated, prepare
 
     ready = prepare(flight(sample("quadx_healthy_hover.bin.xz")))
     before = ready.assumptions, ready.warnings
     done = estimated(ready, estimator)
-    judged = ready.by(done)
-    first, again = judged.answer(), judged.answer()
-    assert judged.assumptions == (*before[0], *done.assumptions)
+    assessed = ready.by(done)
+    first, again = assessed.answer(), assessed.answer()
+    assert assessed.assumptions == (*before[0], *done.assumptions)
     assert (first.assumptions, first.warnings, first.end.headline) == (again.assumptions, again.warnings, again.end.headline)
     assert (ready.assumptions, ready.warnings) == before
     assert estimated(ready, estimator).assumptions == done.assumptions
 
 
-def test_a_fast_table_with_its_vehicle_is_judged_by_a_published_method(monkeypatch):
+def test_a_fast_table_with_its_vehicle_is_assessed_by_a_published_method(monkeypatch):
     """A table names no frame: the vehicle that is given is asked everywhere, also whether a fast log hovers."""
-    from rotorwatch.witnesses.aerobatic import judge
+    from rotorwatch.witnesses.aerobatic import assess
 
-    monkeypatch.setattr(judge, "LEAST_HZ", 1.0)
+    monkeypatch.setattr(assess, "LEAST_HZ", 1.0)
     table, craft = replace(flight(sample(HEALTHY)), autopilot="", parameters={}), airframes.named("ardupilot-quad-x")
     with pytest.raises(rotorwatch.VehicleError, match="--vehicle"):
         diagnose(table, estimator="ekf")

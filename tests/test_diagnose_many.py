@@ -50,7 +50,7 @@ def test_a_folder_stands_for_the_logs_in_it(folder):
 
 
 def test_logs_of_a_folder_are_looked_for_once(folder, monkeypatch):
-    """What the command has found is judged as it is: packed logs take as long to be recognised as to be read."""
+    """What the command has found is assessed as it is: packed logs take as long to be recognised as to be read."""
     looked = []
     real = gathering.Gathered._of
     monkeypatch.setattr(gathering.Gathered, "_of", lambda self, source: looked.append(source) or real(self, source))
@@ -161,7 +161,7 @@ def test_the_table_has_the_worst_first_with_full_paths(fake, run, monkeypatch): 
     assert f"all in {fake}/" in "".join(out.split("\n")[1:3])
     assert out.startswith("6 logs: 1 error, 1 crashed, 1 fault, 1 ambiguous, 1 inconclusive, 1 healthy")
     assert max(map(len, out.splitlines())) <= 80 and out.split().count("what") == 1 and "why" not in out.split()
-    # Answers were told as they came.
+    # Answers were reported as they came.
     assert [line.split()[0] for line in err.splitlines()] == ["healthy", "ambiguous", "crashed,", "fault", "rotorwatch:", "inconclusive"]
     assert run("diagnose", "-q", *logs)[2] == "rotorwatch: broken.bin: not a flight log.\n"
 
@@ -227,7 +227,7 @@ def test_resume_does_nothing_twice(fake, run, monkeypatch):  # noqa: F811
         (("--html", "healthy.bin"), "is a file, not a folder"),
     ],
 )
-def test_what_does_not_fit_is_told_before_the_work(fake, run, argv, says):  # noqa: F811
+def test_what_does_not_fit_is_reported_before_the_work(fake, run, argv, says):  # noqa: F811
     Path("there.jsonl").write_text("hello\n")
     line = {"path": "/x", "exit_code": 0, "size": 1, "sha256": "0", "settings": "of another"}
     Path("other.jsonl").write_text(json.dumps(line) + "\n")
@@ -297,7 +297,7 @@ def test_the_python_function_takes_what_comes(fake):  # noqa: F811
     assert (first.exit_code, first.diagnosis.verdict, first.page, first.sha256) == (1, "fault", None, None)
     assert first.path == str(fake / "fault.bin") and first.diagnosis.trace is None
     assert (second.exit_code, second.diagnosis) == (2, None) and isinstance(second.error, LogError)
-    assert second.to_dict() == {"schema": 2, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
+    assert second.to_dict() == {"schema": 3, "flight": {"name": "broken.bin"}, "error": "broken.bin: not a flight log."}
     answers.close()
 
 

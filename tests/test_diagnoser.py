@@ -15,7 +15,7 @@ from rotorwatch.engine import diagnoser as driver
 from rotorwatch.engine import driver as driving
 from rotorwatch.engine import window
 from rotorwatch.engine.definition import ENGINE, merged
-from rotorwatch.engine.diagnoser import Diagnoser, Judged
+from rotorwatch.engine.diagnoser import Assessed, Diagnoser
 from rotorwatch.engine.driver import Driver, fly
 from rotorwatch.engine.motion import allocation, tick_table
 from rotorwatch.engine.motion.samples import parts
@@ -35,23 +35,23 @@ def flown():
 
 @pytest.fixture(scope="module")
 def short():
-    """The same of the first seconds of a quadrotor's, judged soon."""
+    """The same of the first seconds of a quadrotor's, assessed soon."""
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz").until(18.0)
     vehicle, mixing = airframes.identify(flight), allocation.faster_control(flight)
     plan = tick_table.plan(flight, flight["control" if mixing else "motors"], tick_table.READY_KNOWN_S)
     return vehicle, flight, plan, mixing, merged(parts(flight.signals, flight.messages, vehicle, plan.gyro, False))
 
 
-def told(flown, cuts=(), room=driver.ROOM):
+def reported(flown, cuts=(), room=driver.ROOM):
     """All ticks with the estimator's outputs, and what is written down at the end, of a flight fed in pieces."""
     vehicle, flight, plan, mixing, whole = flown
     with mock.patch.object(driver, "ROOM", room):
         one = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), plan, mixing)
-        edges, judged = [0, *cuts, len(whole)], []
+        edges, assessed = [0, *cuts, len(whole)], []
         for first, last in itertools.pairwise(edges):
-            judged += one.feed(whole.part(first, last))
-        judged += one.finish(flight.duration)
-    every = Judged.joined(judged)
+            assessed += one.feed(whole.part(first, last))
+        assessed += one.finish(flight.duration)
+    every = Assessed.joined(assessed)
     assert every is not None
     return every, one.losses.events(), one.report.events(one.losses.events(), ()), one.overrides, one.spans
 
@@ -67,7 +67,7 @@ def same(ours, theirs):
 
 @pytest.fixture(scope="module")
 def at_once(flown):
-    return told(flown)
+    return reported(flown)
 
 
 def test_a_flight_at_once_has_its_event(at_once):
@@ -77,23 +77,23 @@ def test_a_flight_at_once_has_its_event(at_once):
 def test_interpreted_and_compiled_do_the_same(short):
     if ENGINE.library is None:
         pytest.skip("no C compiler")
-    compiled, library = told(short), ENGINE.library
-    assert (compiled[0].table.mode == tick_table.JUDGE).sum() > 80 and compiled[0].table.valid.any(axis=0).all()
+    compiled, library = reported(short), ENGINE.library
+    assert (compiled[0].table.mode == tick_table.ASSESS).sum() > 80 and compiled[0].table.valid.any(axis=0).all()
     ENGINE.__dict__["library"] = None
     try:
-        same(told(short), compiled)
+        same(reported(short), compiled)
     finally:
         ENGINE.__dict__["library"] = library
 
 
 def test_fed_one_by_one_it_is_the_same(flown, at_once):
-    same(told(flown, range(1, len(flown[4]))), at_once)
+    same(reported(flown, range(1, len(flown[4]))), at_once)
 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=40), st.integers(1, 700))
 @settings(max_examples=8, deadline=None)
 def test_however_it_is_cut_it_is_the_same(flown, at_once, cuts, room):
-    same(told(flown, sorted(int(cut * len(flown[4])) for cut in cuts), room), at_once)
+    same(reported(flown, sorted(int(cut * len(flown[4])) for cut in cuts), room), at_once)
 
 
 @pytest.mark.parametrize("fell_s", [None, 35.0])
@@ -103,13 +103,13 @@ def test_a_log_is_a_link_that_is_over(flown, at_once, fell_s):
     (start, end), *_ = at_once[4]
     whole = fly(flight, vehicle, ((start, fell_s or end),), tick_table.READY_S, whole=True)
     assert whole is not None
-    written, judged = whole
+    written, assessed = whole
     until = fell_s or end
     before = at_once[0].table.command_time <= until
     for name in ("time", "thrust", "wrench", "rate", "load", "valid", "mode", "restart", "upset", "contact", "axial"):
-        ours = getattr(judged.table, name)[judged.table.command_time <= until]
+        ours = getattr(assessed.table, name)[assessed.table.command_time <= until]
         np.testing.assert_array_equal(ours, getattr(at_once[0].table, name)[before], err_msg=name)
-    assert (judged.table.mode[judged.table.command_time > until] == tick_table.GROUND).all()
+    assert (assessed.table.mode[assessed.table.command_time > until] == tick_table.GROUND).all()
     assert written.losses.events() == (() if fell_s else at_once[1])
 
 
@@ -128,7 +128,7 @@ def test_a_rollback_leads_to_the_same_records(flown, at_once, monkeypatch):
     assert known and one.follow(diagnoser.spans) is None
     fell = one.follow(((start, known[0].onset_s - 1.0),))
     assert fell is not None and fell.rolled_back and diagnoser.losses.events(True) == ()
-    assert not fell.judged.out.announced.any()
+    assert not fell.assessed.out.announced.any()
     again = one.follow(((start, np.inf),))
     assert again is not None and diagnoser.losses.events(True) == known
     one.finish(flight.duration)
@@ -137,14 +137,14 @@ def test_a_rollback_leads_to_the_same_records(flown, at_once, monkeypatch):
 
 
 def test_what_comes_after_a_fall_lies_on_the_ground(flown, at_once):
-    """The flight ended, as only what comes after it shows, before the rotor failed: nothing is said of it, and nothing judged."""
+    """The flight ended, as only what comes after it shows, before the rotor failed: nothing is said of it, and nothing assessed."""
     vehicle, flight, plan, mixing, whole = flown
     (event,) = at_once[1]
     one = Diagnoser(vehicle, allocation.laid_out(vehicle, flight), plan, mixing)
     until = int(np.searchsorted(whole.time, event.onset_s - 5.0))
     one.feed(whole.part(0, until))
     one.fell(event.onset_s - 6.0)
-    after = Judged.joined([*one.feed(whole.part(until, len(whole))), *one.finish(flight.duration)])
+    after = Assessed.joined([*one.feed(whole.part(until, len(whole))), *one.finish(flight.duration)])
     assert after is not None and not after.out.announced.any() and one.losses.events() == ()
 
 

@@ -8,7 +8,7 @@ import pytest
 from rotorwatch import airframes
 from rotorwatch.engine.bindings import program
 from rotorwatch.engine.definition import ENGINE
-from rotorwatch.engine.motion.tick_table import AGAIN, GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import AGAIN, ASSESS, GROUND, LEARN
 
 SETTLES, FAILS, WELL, PUSHED, LANDED, AGAIN_UP = 60, 130, 260, 330, 380, 390
 SHORT = 160  # ticks that Python runs in a second or two
@@ -25,7 +25,7 @@ def flight(B: np.ndarray, ticks: int, dt: float, seed: int = 0, share: float = 0
     lost = (share * B[:, 1])[:, None] * late
     thrust = np.maximum(thrust + (np.linalg.pinv(B) @ lost).T, 0.05)
     turn = np.where((when % 90 < 30)[:, None], 0.5, 0.05) * rng.normal(size=(ticks, 3))
-    mode = np.where(when < 5, GROUND, np.where(when < SETTLES, LEARN, JUDGE))
+    mode = np.where(when < 5, GROUND, np.where(when < SETTLES, LEARN, ASSESS))
     mode = np.where((when >= PUSHED) & (when < PUSHED + 20), LEARN, mode)
     mode = np.where((when >= LANDED) & (when < AGAIN_UP), GROUND, mode)
     mode = np.where((when >= AGAIN_UP) & (when < AGAIN_UP + 40), LEARN, mode)
@@ -61,15 +61,15 @@ def test_python_and_machine_code_give_the_same_bits(frame, dt, share):
     B = airframes.named(frame).effectiveness()
     table, library = flight(B, SHORT, dt, share=share), ENGINE.library
     compiled = program.steps(dt, B)
-    told = compiled.run(*table)
+    reported = compiled.run(*table)
     ENGINE.__dict__["library"] = None
     try:
         python = program.steps(dt, B)
         plain = python.run(*table)
     finally:
         ENGINE.__dict__["library"] = library
-    assert told.announced.any()
-    for name, one, other in zip(told._fields, told, plain, strict=True):
+    assert reported.announced.any()
+    for name, one, other in zip(reported._fields, reported, plain, strict=True):
         np.testing.assert_array_equal(one, other, err_msg=name)
     for name, one, other in zip(program.Learned._fields, compiled.learned, python.learned, strict=True):
         np.testing.assert_array_equal(one, other, err_msg=name)

@@ -81,12 +81,12 @@ def test_a_bearing_that_costs_thrust():
 @pytest.mark.parametrize("what, speed, propeller", [("propeller", 0.0, 0.3), ("motor", 0.3, 0.0)])
 def test_a_loss_is_split_into_speed_and_propeller(what, speed, propeller):
     (event,) = losses(answer(what))
-    (told,) = event.extra["esc"]
-    low, high = told["speed_loss_interval"]
-    assert low - 0.005 <= speed <= high + 0.005, told
+    (reported,) = event.extra["esc"]
+    low, high = reported["speed_loss_interval"]
+    assert low - 0.005 <= speed <= high + 0.005, reported
     # What commands and motion make of the whole loss is not this check's.
-    assert told["propeller_loss"] == pytest.approx(propeller, abs=0.09)
-    whole = 1.0 - (1.0 - told["speed_loss"]) * (1.0 - told["propeller_loss"])
+    assert reported["propeller_loss"] == pytest.approx(propeller, abs=0.09)
+    whole = 1.0 - (1.0 - reported["speed_loss"]) * (1.0 - reported["propeller_loss"])
     assert whole == pytest.approx(event.loss[0], abs=0.03)
 
 
@@ -149,7 +149,7 @@ def test_a_thrown_propeller_of_a_quad():
     assert event.rotors == (2,) and event.extra["cause"] == "propeller" and event.detected_s < ONSET + 1.5
 
 
-def test_a_notice_is_told_with_what_was_known():
+def test_a_notice_is_reported_with_what_was_known():
     """Nothing after the moment of telling counts: the log cut there, plus a bin, tells the same."""
     whole = flight("small", "ardupilot", "hexa-x", 6.0)
     (event,) = (e for e in answer("small", "ardupilot", "hexa-x", 6.0).events if e.kind == "slow_motor")
@@ -261,8 +261,8 @@ def test_without_current_sensors_speed_alone_tells_motor_from_propeller():
 
     for what, cause in (("motor", "motor_or_esc"), ("propeller", "propeller")):
         (event,) = losses(rw.diagnose(changed(what, none)))
-        told = event.extra["esc"][0]
-        assert told["current_ratio"] is None and max(told["causes"], key=told["causes"].get) == cause
+        reported = event.extra["esc"][0]
+        assert reported["current_ratio"] is None and max(reported["causes"], key=reported["causes"].get) == cause
 
 
 def test_frozen_needs_a_command_that_asks_for_a_change():
@@ -284,10 +284,10 @@ def test_no_telemetry_no_words():
 
 
 def test_a_spell_must_last_to_the_end():
-    at, told = np.arange(10), np.ones(10, bool)
-    assert stopped._last(at, np.r_[np.zeros(7, bool), np.ones(3, bool)], told, 2) == (6, 7, 8)
-    assert stopped._last(at, np.r_[np.zeros(6, bool), np.ones(3, bool), False], told, 2) is None
-    assert stopped._last(at, np.ones(10, bool), told, 2) is None
+    at, reported = np.arange(10), np.ones(10, bool)
+    assert stopped._last(at, np.r_[np.zeros(7, bool), np.ones(3, bool)], reported, 2) == (6, 7, 8)
+    assert stopped._last(at, np.r_[np.zeros(6, bool), np.ones(3, bool), False], reported, 2) is None
+    assert stopped._last(at, np.ones(10, bool), reported, 2) is None
 
 
 def test_the_study_counts_answers():

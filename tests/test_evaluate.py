@@ -111,7 +111,7 @@ def test_an_alarm_before_the_onset_is_false_and_healthy_time_ends_there():
     assert row["false_alarms"] == 1 and row["healthy_s"] == pytest.approx(42.0)  # it begins after the rotor was whole again
 
 
-def test_faults_one_after_the_other_are_judged_by_their_own_events():
+def test_faults_one_after_the_other_are_assessed_by_their_own_events():
     first, second = scored(answer(event(), event((5,), 45.0, 46.0)), Fault((3,), 31.0, end_s=40.0), Fault((5,), 45.0))
     assert (first["outcome"], second["outcome"]) == ("right", "right")
     assert (first["healthy_s"], second["healthy_s"]) == (pytest.approx(26.0), 0.0)

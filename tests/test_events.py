@@ -11,7 +11,7 @@ from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.posterior import PLACES
 from rotorwatch.engine.events.losses import CURVE_SHARE
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 
 DT, COUNT, N = 0.1, 300, 4
 HYP = list_hypotheses(N)
@@ -24,7 +24,7 @@ def table(restarts=(0,)):
     restart[list(restarts)] = True
     return Ticks(
         time, time - 0.07, np.ones((COUNT, N)), np.zeros((COUNT, 4)), flat, flat, np.ones(COUNT),
-        np.ones((COUNT, 4), bool), np.full(COUNT, JUDGE, np.int32), restart,
+        np.ones((COUNT, 4), bool), np.full(COUNT, ASSESS, np.int32), restart,
         np.full(COUNT, 0.4), DT, np.zeros(COUNT, bool),
     )  # fmt: skip
 
@@ -131,7 +131,7 @@ def test_that_nothing_broke_is_no_alternative():
     assert event.probability == pytest.approx(0.94) and event.alternatives == ()
 
 
-def test_what_cannot_be_told_apart_is_listed():
+def test_what_cannot_be_reported_apart_is_listed():
     out, ticks = silence(), table()
     announce(out, 100, {(0, 1): 0.5, (2, 3): 0.48, (1,): 0.02}, age=3)
     out.theta[100:, :2] = 0.2
@@ -349,7 +349,7 @@ def test_intervals_stay_within_a_loss():
 
 
 @pytest.mark.parametrize(
-    "rotors, interval, told",
+    "rotors, interval, reported",
     [
         ((4, 7), ((0.27, 0.47), (0.61, 0.88)), True),  # together about one whole rotor of one arm
         ((4, 7), ((0.1, 0.2), (0.2, 0.3)), False),  # less than a rotor
@@ -358,22 +358,22 @@ def test_intervals_stay_within_a_loss():
         ((7,), ((0.6, 1.0),), False),
     ],
 )
-def test_a_rotor_that_is_gone_is_not_two_of_its_arm_for_certain(rotors, interval, told):
+def test_a_rotor_that_is_gone_is_not_two_of_its_arm_for_certain(rotors, interval, reported):
     B = airframes.named("ardupilot-octaquad-x").effectiveness()
     event = hexa_event(rotors=rotors, interval=interval, loss=tuple(np.mean(i) for i in interval))
     (said,) = event_rows.Report(B).events((event,), ())
-    assert said.alternatives == (((4,), (7,)) if told else ())
-    assert ("only one of them may have failed" in said.reason) == told
+    assert said.alternatives == (((4,), (7,)) if reported else ())
+    assert ("only one of them may have failed" in said.reason) == reported
     flat = airframes.named("ardupilot-octa-x").effectiveness()
     assert event_rows.Report(flat).events((event,), ()) == (event,)
 
 
 @pytest.mark.parametrize(
-    "theta, sd, ticks_long, again, told",
+    "theta, sd, ticks_long, again, reported",
     [(0.3, 0.05, 8, False, 0), (0.3, 0.05, 30, False, 1), (0.95, 0.05, 8, False, 1), (0.3, 0.05, 8, True, 2)],
 )
-def test_a_loss_that_is_over_in_a_moment_is_none_unless_it_was_total_or_comes_again(theta, sd, ticks_long, again, told):
-    """A gust in a turn does the same; a motor that cuts out loses all, or does so again. Until it is over it is told."""
+def test_a_loss_that_is_over_in_a_moment_is_none_unless_it_was_total_or_comes_again(theta, sd, ticks_long, again, reported):
+    """A gust in a turn does the same; a motor that cuts out loses all, or does so again. Until it is over it is reported."""
     out, ticks = silence(), table()
     for start in (100, 200) if again else (100,):
         announce(out, start, {(2,): 1.0}, age=2)
@@ -381,7 +381,7 @@ def test_a_loss_that_is_over_in_a_moment_is_none_unless_it_was_total_or_comes_ag
         out.theta_sd[start : start + ticks_long, 2] = sd
         announce(out, start + ticks_long, {(): 1.0}, age=2)
     found = event_rows.read(out, ticks, QUAD)
-    assert len(found) == told and all(e.rotors == (3,) for e in found)
+    assert len(found) == reported and all(e.rotors == (3,) for e in found)
     if not again:
         state = event_rows.Losses(QUAD)
         state.add(ticks.part(np.arange(COUNT) < 105), SimpleNamespace(**{k: v[:105] for k, v in vars(out).items()}))

@@ -63,7 +63,7 @@ def test_a_loss_that_may_be_nothing_accuses_nobody_unless_it_is_one_of_several()
 
 
 def test_an_override_that_begins_in_the_fall_is_the_fall():
-    """The vehicle tumbles from 20 s to the end at 22 s: what began before it did is told, and no loss is laid to what came after."""
+    """The vehicle tumbles from 20 s to the end at 22 s: what began before it did is reported, and no loss is laid to what came after."""
     air, early, late = ((2.0, 22.0),), override(19.0, 19.5), override(21.0)
     report = flown(30.0, air, upset=[(20.0, 22.1)]).finish(air)
     assert report.events((loss(21.2),), (early, late)) == (early, loss(21.2))
@@ -71,7 +71,7 @@ def test_an_override_that_begins_in_the_fall_is_the_fall():
     assert calm.events((loss(21.2),), (late,)) == (late,)
 
 
-def test_a_contact_is_told_once_it_cannot_be_the_landing():
+def test_a_contact_is_reported_once_it_cannot_be_the_landing():
     report = flown(10.5, ((2.0, np.inf),), contacts=[10.0])
     assert report.events((), ()) == ()
     flown(11.2, ((2.0, np.inf),), contacts=[10.0], report=report, since=10.5)
@@ -126,7 +126,7 @@ def said(changes, found, final=False):
     return [(c.number, c.what, c.event) for c in changes.since_last(found, final)]
 
 
-def test_an_event_is_announced_once_and_told_again_when_it_has_changed():
+def test_an_event_is_announced_once_and_reported_again_when_it_has_changed():
     changes, first = Changes(), loss(10.0)
     assert said(changes, [first]) == [(1, "announced", first)]
     assert said(changes, [loss(10.0, size=0.31)]) == []
@@ -147,7 +147,7 @@ def test_a_loss_may_turn_out_to_be_of_another_rotor_an_override_may_not():
 
 
 def test_a_loss_that_lasts_is_the_same_one_when_it_is_looked_at_again():
-    """What grows is told anew at each look at the trim, with another onset and another detection: that is a change, no withdrawal."""
+    """What grows is reported anew at each look at the trim, with another onset and another detection: that is a change, no withdrawal."""
     changes, mount = Changes(), Event("turned_mount", (), 30.0, 60.0, None, (), (), 0.99, (), "")
     said(changes, [loss(20.0, detected=60.0), mount])
     later, turned = loss(24.0, detected=90.0, size=0.4), replace(mount, onset_s=33.0, detected_s=90.0)
@@ -162,7 +162,7 @@ def test_a_loss_that_lasts_is_the_same_one_when_it_is_looked_at_again():
     assert [what for _, what, _ in said(changes, [loss(170.0, rotors=(2,), detected=171.0)])] == ["withdrawn", "announced"]
 
 
-def test_in_the_end_any_difference_is_told():
+def test_in_the_end_any_difference_is_reported():
     changes = Changes()
     said(changes, [loss(10.0), loss(20.0)])
     nearly = loss(10.0, size=0.301)
@@ -170,7 +170,7 @@ def test_in_the_end_any_difference_is_told():
 
 
 def test_kinds_and_causes_are_never_taken_for_one_another():
-    """Whatever they are called: what changes from one to the other is told."""
+    """Whatever they are called: what changes from one to the other is reported."""
     names = [f"case {k}" for k in range(1000)]
     found = [replace(loss(10.0), kind=name) for name in names]
     found += [replace(loss(10.0), extra={"override": name, "cause": "b"}) for name in names]

@@ -41,14 +41,14 @@ CALM = np.tile(np.array([[0.01**2], [0.02**2], [0.02**2], [0.01**2]]), (1, 4))
 PLACE = [*range(FIRST_LOSS, FIRST_LOSS + N), *range(4)]  # rotors, then axes, among the directions of the bank
 
 
-def told(strength=60.0, jump=(0, 0.1), seed=0, sd=0.03):
+def reported(strength=60.0, jump=(0, 0.1), seed=0, sd=0.03):
     """A bank of onsets, every third slot unused, that has seen rotor jump[0] lose jump[1]: information grows with age."""
     rng, bank, q = np.random.default_rng(seed), Bank(), FIRST_LOSS + N
     bank.begin(P)
     directions = np.concatenate([B, np.eye(4)], axis=1)
     for w, slot in enumerate(bank.packs):
         size = strength * (w + 1.0) / SLOTS
-        A = 0.4 * rng.standard_normal((N + 4, N + 4))  # no two directions are told apart without the others
+        A = 0.4 * rng.standard_normal((N + 4, N + 4))  # no two directions are distinguished without the others
         own = size * (directions.T @ directions + A.T @ A)
         score = own @ (jump[1] * np.eye(N + 4)[jump[0]]) + sd * np.sqrt(size) * rng.standard_normal(N + 4)
         C, z = np.zeros((q, q)), np.zeros(q)
@@ -106,7 +106,7 @@ def expected(found, bank, active=()):
 def test_evidence_is_summed_over_all_onsets_with_prior_weights(active, theta):
     """Rotors known to be weak are likelier to change again, others less likely to fail; two at once are rare; a recovery is of a
     rotor that is known to be weak."""
-    bank = told()
+    bank = reported()
     found = gather(bank, theta, active)
     wanted = expected(found, bank, active)
     known = [HYP.rotors[h][0] + 1 in active if HYP.rotors[h] else False for h in range(len(HYP.kinds))]
@@ -124,7 +124,7 @@ def test_evidence_is_summed_over_all_onsets_with_prior_weights(active, theta):
 
 
 def test_two_rotors_at_once_need_ten_thousand_times_the_odds():
-    bank = told()
+    bank = reported()
     found = gather(bank)
     summed = logsumexp(factors(found)[in_use(bank)], axis=0)
     for h, kind in enumerate(HYP.kinds):
@@ -134,7 +134,7 @@ def test_two_rotors_at_once_need_ten_thousand_times_the_odds():
 
 
 def test_the_loudest_disturbance_is_that_of_one_onset_sudden_or_gradual():
-    bank = told(strength=600.0)
+    bank = reported(strength=600.0)
     found = gather(bank)
     single = factors(found)[:, ~FAULT] - np.log([[slot.stride] for slot in bank.packs])
     gradual = np.array([slot.gradual for slot in bank.packs])
@@ -147,7 +147,7 @@ def test_the_loudest_disturbance_is_that_of_one_onset_sudden_or_gradual():
 def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(active, first):
     """Four times as wide as the noise model has them, within limits; in thrust also as the air that moves. Of all torques together, and
     beside a weak rotor of any axes."""
-    bank = told()
+    bank = reported()
     found = gather(bank, active=active)
     sd = np.sqrt(CALM[1] + CALM[2] + 5.0 * CALM[3])
     assert found.asked.width == pytest.approx(moved(np.clip(3.0 * sd, 0.03, 1.0))) and min(found.asked.width) > 0.03
@@ -163,12 +163,12 @@ def test_something_else_is_a_fifth_of_disturbances_and_larger_than_this_flights(
 
 
 def test_slots_that_are_not_in_use_say_nothing():
-    loud = copied(told())
+    loud = copied(reported())
     for slot in loud.packs:
         if slot.age < 0:
             slot.z = [1e3] * len(slot.z)
     found, best = gather(loud), Best()
-    np.testing.assert_array_equal(odds(found), odds(gather(told())))
+    np.testing.assert_array_equal(odds(found), odds(gather(reported())))
     for h in (0, 5, len(HYP.names) - 1):
         found.pick(P, loud, h, best)
         assert in_use(loud)[best.slot]
@@ -177,7 +177,7 @@ def test_slots_that_are_not_in_use_say_nothing():
 @pytest.mark.parametrize(("loss", "another"), [(TOTAL_LOSS - 0.01, -1.0), (TOTAL_LOSS + 0.01, -3.0)])
 def test_beside_a_weak_rotor_another_loss_is_less_likely_and_far_less_beside_one_that_is_gone(loss, another):
     """Itself it is likely to change again: ten times; another one is ten times less likely, or a thousand times and not two at once."""
-    bank = told()
+    bank = reported()
     found = gather(bank, (0.0, loss, 0.0, 0.0), (2,))
     summed = logsumexp(factors(found), axis=0)
     prior, can = odds(found) - summed - np.log(HYP.weight), summed > NOTHING + 10.0  # less is as good as never
@@ -199,7 +199,7 @@ def ends(bank, w, loss=0.3):
 
 def test_what_ends_a_loss_is_all_that_the_filter_still_holds_of_it():
     """A recovery that is as likely as can be has that size."""
-    bank, best = told(strength=1e-9), Best()
+    bank, best = reported(strength=1e-9), Best()
     for w in (0, 4, 33, 46):
         alone = copied(bank)
         for k, slot in enumerate(alone.packs):
@@ -221,7 +221,7 @@ def jumped(found, bank, name):
 @pytest.mark.parametrize("name", ["rotor 2", "rotors 1+4", "rotor 2 is well again"])
 def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(name):
     """Rotors' losses and the axes' slop at once, dense: the marginal of the losses, cross terms and all."""
-    h, bank = HYP.names.index(name), told(seed=3)
+    h, bank = HYP.names.index(name), reported(seed=3)
     found = gather(bank, (0.0, 0.3, 0.0, 0.0), (2,))
     best, size, cov = jumped(found, bank, name)
     w, live = best.slot, np.flatnonzero(in_use(bank))
@@ -239,13 +239,13 @@ def test_a_jump_has_the_covariance_of_a_gaussian_in_all_its_directions_together(
         dense = np.array([[one_of([(share, *beside_steps(C, z, p, 1.0 - 0.3)) for share, p in parts])[2]]])
     assert cov[np.ix_(who, who)] == pytest.approx(dense, rel=1e-6)
     if len(who) == 2:
-        assert abs(dense[0, 1]) > 0.02 * dense[0, 0]  # there is something to be told
+        assert abs(dense[0, 1]) > 0.02 * dense[0, 0]  # there is something to distinguish
     assert not cov[N:].any() and not cov[:, N:].any()  # what geometry is wrong by becomes no disturbance
     assert size[who] == pytest.approx([best.size_of(i) for i in who]) and not np.delete(size, who).any()
 
 
 def test_a_disturbance_is_a_step_of_its_axes_alone():
-    bank, axes = told(seed=4), np.array([1, 3])
+    bank, axes = reported(seed=4), np.array([1, 3])
     found = gather(bank)
     best, size, cov = jumped(found, bank, "pitch and common mode")
     index = N + axes
@@ -258,7 +258,7 @@ def test_a_disturbance_is_a_step_of_its_axes_alone():
 
 
 def test_a_loss_can_be_measured_as_well_as_the_best_slot_knows_it():
-    bank = told()
+    bank = reported()
     found = gather(bank)
     for i in range(N):
         own = max(slot.C[entry(FIRST_LOSS + i, FIRST_LOSS + i)] for slot in bank.packs if slot.age >= 0)

@@ -112,9 +112,9 @@ def test_its_information_is_that_of_the_commands_it_makes(hexa):
     c = np.outer(passed[0], signal.first) + np.outer(passed[1], signal.second)
     c = c.reshape(-1, round(dt / fine), 6).mean(axis=1)
     thetas = losses(6, (1, 2), (3, 4), (5, 6), ())
-    for (i, j), told in zip(hexa.pairs, hexa.information, strict=True):
+    for (i, j), reported in zip(hexa.pairs, hexa.information, strict=True):
         difference = c @ (B_OF["hexa-x"][3] * (thetas[i] - thetas[j])) / 0.45
-        assert excitation.information(NOISE, difference, dt)[-1] == pytest.approx(told, rel=0.1)
+        assert excitation.information(NOISE, difference, dt)[-1] == pytest.approx(reported, rel=0.1)
 
 
 def test_information_in_white_noise_is_the_signal_over_it():
@@ -135,17 +135,17 @@ def test_the_log_likelihood_ratio_has_the_mean_and_variance_that_information_say
             x = left * x + np.sqrt(variance * (1.0 - left**2)) * rng.standard_normal(M)
     e += np.cumsum(np.sqrt(walk * dt) * rng.standard_normal((M, T)), axis=1)
     phi = 0.2 * np.sin(2.0 * np.pi * dt * np.arange(T) / 0.5)
-    told = excitation.information(NOISE, phi, dt)[-1]
+    reported = excitation.information(NOISE, phi, dt)[-1]
     weight = np.linalg.solve(excitation.covariance(NOISE, T, dt), phi)
     ratio = (e + phi) @ weight - 0.5 * phi @ weight  # the hypothesis phi is true
-    assert ratio.mean() == pytest.approx(told / 2.0, abs=5.0 * np.sqrt(told / M))
-    assert ratio.var() == pytest.approx(told, rel=6.0 * np.sqrt(2.0 / M))
+    assert ratio.mean() == pytest.approx(reported / 2.0, abs=5.0 * np.sqrt(reported / M))
+    assert ratio.var() == pytest.approx(reported, rel=6.0 * np.sqrt(2.0 / M))
 
 
 @pytest.mark.parametrize("probability, power", [(0.99, 0.99), (0.9, 0.7)])
 def test_needed_information_names_the_true_one_of_two_as_often_as_asked(probability, power):
-    told = excitation.needed(2, probability, power)
-    ratio = np.random.default_rng(1).normal(told / 2.0, np.sqrt(told), 100_000)
+    reported = excitation.needed(2, probability, power)
+    ratio = np.random.default_rng(1).normal(reported / 2.0, np.sqrt(reported), 100_000)
     assert np.mean(1.0 / (1.0 + np.exp(-ratio)) > probability) == pytest.approx(power, abs=0.005)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.estimator.plant import AIR, SHARE, TAU
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.stats.tails import normal_cdf
 from rotorwatch.witnesses import excitation_response
@@ -29,7 +29,7 @@ def float64():
     jax()
 
 
-def told(theta, seed=0, sd=0.015, trim=False):
+def reported(theta, seed=0, sd=0.015, trim=False):
     """Information of the size that three seconds give, along the null space (with trim: along all else), of losses theta (6,)."""
     rng = np.random.default_rng(seed)
     A = (B / np.linalg.norm(B, axis=1, keepdims=True)) if trim else N.T
@@ -42,7 +42,7 @@ def told(theta, seed=0, sd=0.015, trim=False):
 def test_the_true_pair_is_named_and_its_losses_are(who):
     theta = np.where(np.isin(np.arange(6), who), 0.25, 0.0)
     for seed in range(5):
-        one = told(theta, seed)
+        one = reported(theta, seed)
         found = excitation_response.shares([one], NAMED, 6)
         assert next(iter(found)) == who and found[who] > excitation_response.CERTAIN
         assert sum(found.values()) == pytest.approx(1.0)
@@ -61,7 +61,7 @@ def test_probabilities_are_honest():
         who = sets[rng.integers(4)]
         mean, sd = priors.get(who, excitation_response.prior((), 6))
         theta = mean + sd * rng.standard_normal(6)
-        one = told(np.where(mean > 0.0, np.abs(theta), theta), seed, sd=0.15)
+        one = reported(np.where(mean > 0.0, np.abs(theta), theta), seed, sd=0.15)
         one = one._replace(J=one.J[:1], z=one.z[:1])
         logs = np.array([0.0, *(excitation_response.evidence([one], k, priors[k])[0] for k in PAIRS)])
         share = np.exp(logs - np.logaddexp.reduce(logs))
@@ -75,16 +75,16 @@ def test_probabilities_are_honest():
 def test_negative_losses_are_none():
     """What would be explained by rotors that give more than before is no loss of theirs."""
     theta = np.where(np.isin(np.arange(6), (0, 1)), -0.2, 0.0)
-    found = excitation_response.shares([told(theta)], NAMED, 6)
+    found = excitation_response.shares([reported(theta)], NAMED, 6)
     assert found[(0, 1)] < 1e-3
 
 
 def test_a_loss_since_the_flight_began_changes_trim_and_an_older_one_does_not():
     theta = np.where(np.isin(np.arange(6), (2,)), 0.4, 0.0)
-    nothing = told(np.zeros(6), 1, 0.05, trim=True)
-    new = excitation_response.shares([told(theta)], {}, 6, told(theta, 1, 0.05, trim=True))
+    nothing = reported(np.zeros(6), 1, 0.05, trim=True)
+    new = excitation_response.shares([reported(theta)], {}, 6, reported(theta, 1, 0.05, trim=True))
     assert next(iter(new)) == (2,) and all(2 in who for who, p in new.items() if p > 0.03)
-    old = excitation_response.shares([told(theta)], {}, 6, nothing)
+    old = excitation_response.shares([reported(theta)], {}, 6, nothing)
     # The pair that half of it each would answer as.
     assert {(2,), (3,), (2, 3)} >= {who for who, p in old.items() if p > 0.2} and old[()] < 0.01
 
@@ -97,7 +97,7 @@ def test_candidates_lack_the_same_in_hover():
 
 
 def test_the_information_of_ticks_finds_the_losses_and_the_lag():
-    """e made of a known loss, with a rotor lag that nobody told: within its own uncertainty, at about the right delay."""
+    """e made of a known loss, with a rotor lag that nobody reported: within its own uncertainty, at about the right delay."""
     rng, dt, T = np.random.default_rng(4), 0.05, 100
     time = dt * np.arange(T)
     q = (np.outer(np.sin(2 * np.pi * time / 0.5), N[:, 0]) + np.outer(np.sin(3 * np.pi * time / 0.5), N[:, 1])) * 0.5
@@ -131,26 +131,26 @@ def test_the_probability_of_two_losses_above_nothing_is_that_of_the_quadrant(sd)
     assert excitation_response._positive(mean, np.diag(sd**2)) == pytest.approx(wanted, abs=1e-3)
 
 
-def judged_trim(biases, dt=0.1):
-    """(carry, out, table) of a flight that learns for 3 s and is judged for 9 s, with these biases (120, 4) of its trim."""
+def assessed_trim(biases, dt=0.1):
+    """(carry, out, table) of a flight that learns for 3 s and is assessed for 9 s, with these biases (120, 4) of its trim."""
     time = dt * np.arange(120)
-    mode, restart = np.where(time < 3.0, LEARN, JUDGE), np.arange(120) == 0
+    mode, restart = np.where(time < 3.0, LEARN, ASSESS), np.arange(120) == 0
     carry = SimpleNamespace(spread=np.zeros(4))
     return carry, SimpleNamespace(biases=biases), SimpleNamespace(time=time, mode=mode, restart=restart)
 
 
 def test_trim_has_shifted_by_its_last_two_seconds_less_its_first_two():
-    """Of a bias that grows evenly: by the time between the middles of the two. What was learned before it was judged does not count."""
+    """Of a bias that grows evenly: by the time between the middles of the two. What was learned before it was assessed does not count."""
     slope, time = np.array([0.1, -0.2, 0.05, 0.3]), 0.1 * np.arange(120)
     biases = np.where((time < 2.95)[:, None], 9.0, np.outer(time, slope))
-    found, sd = excitation_response.shift(*judged_trim(biases))
+    found, sd = excitation_response.shift(*assessed_trim(biases))
     np.testing.assert_allclose(found, 7.0 * slope, rtol=0.02)  # 9 s, less half of two seconds at either end
     assert (sd > 0.0).all()
 
 
 @pytest.mark.parametrize("left, suspected", [(3.5, True), (4.5, False)])
 def test_a_rotor_is_suspected_where_it_leaves_no_more_than_four_sd_of_trim_unexplained(left, suspected):
-    carry, out, table = judged_trim(np.zeros((120, 4)))
+    carry, out, table = assessed_trim(np.zeros((120, 4)))
     _, sd = excitation_response.shift(carry, out, table)
     column, apart = B[:, 2] / sd, np.array([1.0, 1.0, 0.0, 0.0])
     apart = apart - column * (column @ apart) / (column @ column)  # what no loss of rotor 3 makes
@@ -166,7 +166,7 @@ def test_a_loss_that_needs_no_asking_stays_and_those_after_it_are_asked_for(monk
     """One that ended before the excitation is what it was; the ambiguous one after it is resolved."""
     over = Event("loss_of_effectiveness", (3,), 8.0, 9.0, 12.0, (0.3,), ((0.2, 0.4),), 0.99)
     event = Event("loss_of_effectiveness", (1, 2), 20.0, 21.0, None, (0.3, 0.3), ((0.1, 0.5),) * 2, 0.4, ((3, 4), (5, 6)))
-    one = told(np.where(np.isin(np.arange(6), (2, 3)), 0.3, 0.0))
+    one = reported(np.where(np.isin(np.arange(6), (2, 3)), 0.3, 0.0))
     monkeypatch.setattr(excitation_response, "find", lambda *_: ((one,), None, ()))
     events, _ = excitation_response.resolve((over, event), None, B)
     assert events[0] is over and [e.rotors for e in events] == [(3,), (3, 4)] and not events[1].alternatives
@@ -210,14 +210,14 @@ def test_a_healthy_vehicle_stays_healthy_and_does_not_move(flown):
 
 
 def test_without_an_excitation_nothing_changes(flown):
-    table, _, _, B_, losses = excitation_flights.judged(flown[0][1])
+    table, _, _, B_, losses = excitation_flights.assessed(flown[0][1])
     assert excitation_response.find(table, B_) == ((), None, ())
     assert excitation_response.resolve(losses, table, B_) == (losses, ())
 
 
 def test_as_much_calm_flight_is_looked_at_before_an_excitation_as_after_it(flown, monkeypatch):
     """Less than a second on either side; time stamps 1/16 s apart, so that some ticks are exactly a second away."""
-    table, _, _, B_, _ = excitation_flights.judged(flown[2][1])
+    table, _, _, B_, _ = excitation_flights.assessed(flown[2][1])
     even = replace(table, time=np.arange(len(table.time)) / 16.0)
     response, looked = excitation_response._response, []
 

@@ -314,7 +314,7 @@ def test_the_command_line(tmp_path):
         ({"estimator": "ekf", "name": "2nd"}, "begin it with a letter"),
     ],
 )
-def test_bad_calls_are_told_in_one_sentence(arguments, said, tmp_path):
+def test_bad_calls_are_reported_in_one_sentence(arguments, said, tmp_path):
     with pytest.raises(rw.RotorwatchError, match=said) as why:
         rw.export_c(arguments.pop("estimator"), tmp_path, **arguments)
     assert len(str(why.value).splitlines()) == 1
@@ -433,7 +433,7 @@ def test_a_library_that_was_changed_in_the_cache_is_built_again(cache):
     assert library.read_bytes() == good
 
 
-def test_an_unknown_backend_is_told():
+def test_an_unknown_backend_is_reported():
     u, y = table(3)
     with pytest.raises(ConfigError, match="'jax', 'native' or 'auto', not 'fortran'"):
         run(small(), u, y, backend="fortran")

@@ -25,7 +25,7 @@ def project(tmp_path_factory):
     return export_c("default", tmp_path_factory.mktemp("default"), vehicle=FRAME, name="mine")
 
 
-def told(project, folder, real, *flags):
+def reported(project, folder, real, *flags):
     """What the library says of a flight: a column for each output."""
     goal = folder / "mine.so"
     command = [compilers()[0], *STRICT, *flags, "-O1", "-fPIC", "-shared", "-o", str(goal), str(project.folder / "mine.c"), "-lm"]
@@ -49,7 +49,7 @@ def told(project, folder, real, *flags):
 
 
 def test_a_tick_in_c_is_the_tick_in_python(project, tmp_path):
-    said, here = told(project, tmp_path, np.float64), program.steps(0.05, B)
+    said, here = reported(project, tmp_path, np.float64), program.steps(0.05, B)
     wanted = here.run(*flight(B, TICKS, 0.05))._asdict()
     assert wanted["announced"].any()
     for name in said.dtype.names:
@@ -57,7 +57,7 @@ def test_a_tick_in_c_is_the_tick_in_python(project, tmp_path):
 
 
 def test_single_precision_is_close(project, tmp_path):
-    said = told(project, tmp_path, np.float32, "-DROTORWATCH_FLOAT")
+    said = reported(project, tmp_path, np.float32, "-DROTORWATCH_FLOAT")
     wanted = program.steps(0.05, B).run(*flight(B, TICKS, 0.05))
     assert np.array_equal(said["announced"], wanted.announced)
     assert np.abs(said["theta"] - wanted.theta).max() < 0.02

@@ -9,7 +9,7 @@ import pytest
 
 from rotorwatch import airframes, logs
 from rotorwatch.commands import cli
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, READY_S
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN, READY_S
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.experiments.studies import false_alarms as study
@@ -58,17 +58,17 @@ def test_phases_keep_what_channels_have_in_common():
 def test_surrogates_look_like_the_flight(origin):
     rng = np.random.default_rng(0)
     table = origin.table
-    judged = np.flatnonzero((table.mode == JUDGE) & table.valid.all(axis=1))[:-30]  # without the touch-down
+    assessed = np.flatnonzero((table.mode == ASSESS) & table.valid.all(axis=1))[:-30]  # without the touch-down
     made = [study.surrogate(origin, rng) for _ in range(4)]
     for name in ("wrench", "rate", "rate_dot"):
-        real = getattr(table, name)[judged].std(axis=0)
-        ours = np.mean([getattr(t, name)[t.mode == JUDGE].std(axis=0) for t in made], axis=0)
+        real = getattr(table, name)[assessed].std(axis=0)
+        ours = np.mean([getattr(t, name)[t.mode == ASSESS].std(axis=0) for t in made], axis=0)
         np.testing.assert_allclose(ours[:3], real[:3], rtol=0.35, atol=1e-4)
         assert np.all(ours < 2.0 * real) and np.all(ours > 0.5 * real)  # thrust: mostly one slow sag
     # Side forces keep what they have to do with the torque that they make.
-    together = [np.corrcoef(t.side[t.mode == JUDGE, 0], t.wrench[t.mode == JUDGE, 1])[0, 1] for t in made]
-    assert np.mean(together) == pytest.approx(np.corrcoef(table.side[judged, 0], table.wrench[judged, 1])[0, 1], abs=0.35)
-    assert np.mean([t.load.mean() for t in made]) == pytest.approx(table.load[judged].mean(), abs=0.01)
+    together = [np.corrcoef(t.side[t.mode == ASSESS, 0], t.wrench[t.mode == ASSESS, 1])[0, 1] for t in made]
+    assert np.mean(together) == pytest.approx(np.corrcoef(table.side[assessed, 0], table.wrench[assessed, 1])[0, 1], abs=0.35)
+    assert np.mean([t.load.mean() for t in made]) == pytest.approx(table.load[assessed].mean(), abs=0.01)
 
 
 def test_surrogates_are_flights(origin):
@@ -77,7 +77,7 @@ def test_surrogates_are_flights(origin):
     np.testing.assert_allclose(table.wrench, table.thrust @ B.T, atol=1e-12)
     assert table.thrust.min() >= 0.0 and table.thrust.mean() == pytest.approx(1.0, abs=0.2)
     assert table.restart.sum() == 1 and table.restart[0]
-    assert table.mode[0] == LEARN and table.time[table.mode == JUDGE][0] == pytest.approx(READY_S - 1.0)
+    assert table.mode[0] == LEARN and table.time[table.mode == ASSESS][0] == pytest.approx(READY_S - 1.0)
     assert table.dt == origin.table.dt and len(table.time) % study.CHUNK == 0
     other = study.surrogate(origin, np.random.default_rng(6))
     assert abs(np.corrcoef(table.wrench[:, 0], other.wrench[:, 0])[0, 1]) < 0.5
@@ -118,8 +118,8 @@ def test_first_alarms_come_no_later_with_lower_thresholds(origin):
     first = study._first_alarms(table, origin.vehicle, out)
     times = [first[shift] for shift in study.SHIFTS]
     assert times == sorted(times)
-    judged_before = found[0].detected_s - table.time[table.mode == JUDGE][0]
-    assert first[0.0] == pytest.approx(judged_before, abs=2 * table.dt)
+    assessed_before = found[0].detected_s - table.time[table.mode == ASSESS][0]
+    assert first[0.0] == pytest.approx(assessed_before, abs=2 * table.dt)
 
 
 def test_study_counts_hours_and_alarms(flight, monkeypatch):

@@ -26,7 +26,7 @@ SAMPLES = Path(rw.__file__).parent / "samples"
 
 
 def concluded(*events, **more):
-    return conclude(Evidence(events, 6, **{"hidden": np.full(6, 0.04), "judged_s": 60.0, **more}))
+    return conclude(Evidence(events, 6, **{"hidden": np.full(6, 0.04), "assessed_s": 60.0, **more}))
 
 
 def word(*events, **more):
@@ -38,7 +38,7 @@ def of_kind(kind, **extra):
 
 
 def test_a_healthy_flight_may_fly_and_too_short_a_one_says_nothing():
-    assert word() == "fly" and word(hidden=None, judged_s=0.0) == "cannot say" and word(hidden=np.full(6, 0.5)) == "cannot say"
+    assert word() == "fly" and word(hidden=None, assessed_s=0.0) == "cannot say" and word(hidden=np.full(6, 0.5)) == "cannot say"
 
 
 @pytest.mark.parametrize("kind", [k.name for k in table().values() if k.weight is not Weight.OPEN])

@@ -62,7 +62,7 @@ def test_faulty_flights_are_shown_and_teach_nothing():
     assert not one["changes"] and points["A"]["loss"][12] is None and not points["A"]["used"][12]
 
 
-def test_an_aircraft_without_a_usable_flight_is_not_judged():
+def test_an_aircraft_without_a_usable_flight_is_not_assessed():
     rows = flights(losses(5, 4))
     for r in rows:
         r["trim"] = {}
@@ -98,10 +98,10 @@ def test_a_flight_without_a_time_stays_where_it_was_added():
         (["fault", "healthy"], 0, "suspect"),
         (["fault", "healthy"], 1, "healthy"),  # it was serviced in between
         (["healthy", "ambiguous"], 0, "suspect"),
-        (["healthy", "inconclusive"], 0, "not judged"),
-        (["inconclusive"] * 3, 0, "not judged"),
+        (["healthy", "inconclusive"], 0, "not assessed"),
+        (["inconclusive"] * 3, 0, "not assessed"),
         (["healthy"] * 3, 0, "healthy"),
-        (["healthy", "fault"], 2, "not judged"),  # no flight since
+        (["healthy", "fault"], 2, "not assessed"),  # no flight since
     ],
 )
 def test_the_state_of_an_aircraft(verdicts, cut, state):

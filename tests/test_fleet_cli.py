@@ -1,4 +1,4 @@
-"""`rotorwatch fleet` from the command line: logs in, aircraft told apart, maintenance, pages and tables out."""
+"""`rotorwatch fleet` from the command line: logs in, aircraft distinguished, maintenance, pages and tables out."""
 
 import json
 import lzma
@@ -73,7 +73,7 @@ def test_a_store_among_its_logs_is_no_log(folder, quick, run):
 
 
 def test_a_log_behind_an_address_is_fetched_once(folder, quick, call):
-    """A new one by who judges it; a known one to see whether it has changed. A copy at another address is known, too."""
+    """A new one by who assesses it; a known one to see whether it has changed. A copy at another address is known, too."""
     asked = []
 
     class Served(SimpleHTTPRequestHandler):
@@ -96,7 +96,7 @@ def test_a_log_behind_an_address_is_fetched_once(folder, quick, call):
         server.shutdown()
 
 
-def test_what_cannot_be_judged_is_said_and_the_rest_added(call, folder, quick):
+def test_what_cannot_be_assessed_is_said_and_the_rest_added(call, folder, quick):
     (folder / "broken.bin").write_bytes(SAMPLE[:200])
     code, out, err = call("add", folder / "broken.bin", folder / "a.bin")
     assert code == 2 and out.count("healthy") == 1 and "broken.bin" in err and "1 added, 1 could not be diagnosed" in err
@@ -120,14 +120,14 @@ def test_a_bad_file_of_a_folder_is_remembered(call, folder, quick):
 
 
 def test_an_aircraft_that_crashes_stands_first(call, folder, quick):
-    """What its flights were judged counts, and not only the trend of its rotors; what is not judged is not green."""
+    """What its flights were assessed counts, and not only the trend of its rotors; what is not assessed is not green."""
     call("add", folder / "a.bin", "--aircraft", "calm")
     quick["verdict"] = "inconclusive"
     call("add", folder / "below" / "c.bin", "--aircraft", "doubtful")
     quick["verdict"] = "crashed"
     call("add", folder / "b.bin", "--aircraft", "wreck")
     rows = json.loads(call("list", "--json")[1])["aircraft"]
-    assert [(a["name"], a["state"]) for a in rows] == [("wreck", "fault"), ("doubtful", "not judged"), ("calm", "healthy")]
+    assert [(a["name"], a["state"]) for a in rows] == [("wreck", "fault"), ("doubtful", "not assessed"), ("calm", "healthy")]
     assert rows[0]["standing"]["last"]["verdict"] == "crashed" and "crashed" in rows[0]["standing"]["headline"]
     assert not any(a["new"] for a in rows), "nothing is new before the first look"
     assert " 1 crashed" not in call("list")[1].replace("Of 1 flight 1 crashed", "")
@@ -146,8 +146,8 @@ def test_processes_make_the_same_store(folder, tmp_path):
     kept, fates = [], []
     for jobs in (1, 2):
         with Store(tmp_path / f"{jobs}.db") as store:
-            told, others = add.add(store, [folder], jobs=jobs)
-            fates.append(sorted((str(t.path), t.state, t.aircraft) for t in told))
+            reported, others = add.add(store, [folder], jobs=jobs)
+            fates.append(sorted((str(t.path), t.state, t.aircraft) for t in reported))
             kept.append([store.flight(row["hash"]) for row in store.flights("date")])
             assert others == 1
     assert [state for _, state, _ in fates[0]] == ["added", "added", "added", "failed", "known"]
@@ -184,13 +184,13 @@ def test_two_are_made_one(call, folder, quick):
     assert code == 0 and only["flights"] == 3 and only["identities"] == ["name one", "name two"]
 
 
-def test_judging_again_says_what_changed(call, folder, quick, tmp_path):
+def test_assessing_again_says_what_changed(call, folder, quick, tmp_path):
     call("add", folder)
-    assert "0 diagnosed again" in call("rejudge")[1]
+    assert "0 diagnosed again" in call("reassess")[1]
     quick["verdict"] = "ambiguous"
     (folder / "b.bin").unlink()
     (folder / "below" / "c.bin").write_bytes(SAMPLE + b"other")
-    code, out, _ = call("rejudge", "--all")
+    code, out, _ = call("reassess", "--all")
     assert code == 0 and "a.bin  healthy -> ambiguous" in out and "1 diagnosed again, 1 changed" in out
     assert "kept as it was" in out and "has changed" in out
     with Store(tmp_path / "fleet.db") as store:
@@ -221,7 +221,7 @@ def test_a_store_that_is_not_there_is_said(call):
 
 
 def test_logs_are_added_as_they_come(folder, quick, tmp_path):
-    told, looks = [], iter(range(6))
+    reported, looks = [], iter(range(6))
 
     def stop():
         look = next(looks)
@@ -230,8 +230,8 @@ def test_logs_are_added_as_they_come(folder, quick, tmp_path):
         return look == 5
 
     with Store(tmp_path / "fleet.db") as store:
-        add.follow(store, [folder], tell=told.append, poll_s=0.0, stop=stop)
-        assert [Path(t.path).name for t in told if t.state == "added"] == ["a.bin", "b.bin", "c.bin", "new.bin"]
+        add.follow(store, [folder], tell=reported.append, poll_s=0.0, stop=stop)
+        assert [Path(t.path).name for t in reported if t.state == "added"] == ["a.bin", "b.bin", "c.bin", "new.bin"]
         assert store.count() == 4 and not store.aircraft()[0]["stale"]
 
 
@@ -281,7 +281,7 @@ def test_a_fleet_is_flown_and_scored(monkeypatch, tmp_path, run):
         return Entry(hash=hash, path=path, name=path, size=size, identity=f"serial {story.name}", build=story.frame, **known)
 
     monkeypatch.setattr(synthetic, "fly", fly)
-    monkeypatch.setattr(synthetic.judge, "of_flight", of_flight)
+    monkeypatch.setattr(synthetic.flight_result, "of_flight", of_flight)
     code, out, _ = run("fleet", "simulate", "-o", tmp_path / "sim", "--aircraft", 10, "--flights", 30, "--json")
     found = json.loads(out)
     assert code == 0 and found["flights"] == 300 and found["weak"] >= 2
@@ -401,17 +401,17 @@ def test_deletion_asks_first(three, monkeypatch, tmp_path):
         assert store.count() == 2
 
 
-def test_a_flight_that_is_deleted_while_all_are_judged_again(three, monkeypatch, tmp_path):
-    judge_again = Store.judge_again
+def test_a_flight_that_is_deleted_while_all_are_assessed_again(three, monkeypatch, tmp_path):
+    assess_again = Store.assess_again
 
     def deleted_first(store, entry):
         if entry.name == "b.bin":
             store.delete(entry.hash)
-        judge_again(store, entry)
+        assess_again(store, entry)
 
-    monkeypatch.setattr(Store, "judge_again", deleted_first)
+    monkeypatch.setattr(Store, "assess_again", deleted_first)
     with Store(tmp_path / "fleet.db") as store:
-        count, _ = add.rejudge(store, every=True, jobs=1)
+        count, _ = add.reassess(store, every=True, jobs=1)
         assert count == 2 and store.count() == 2
 
 

@@ -1,4 +1,4 @@
-"""What changed in an aircraft over its flights: steps, wear, services and shifted weights, told apart and not made up."""
+"""What changed in an aircraft over its flights: steps, wear, services and shifted weights, distinguished and not made up."""
 
 import numpy as np
 import pytest

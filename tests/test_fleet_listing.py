@@ -23,7 +23,7 @@ def url(request, tmp_path, monkeypatch):
     return request.getfixturevalue("server").url()
 
 
-def told(verdict="healthy", loss=0.0, onset=None):
+def reported(verdict="healthy", loss=0.0, onset=None):
     """An answer with one event, or none."""
     events = [] if onset is None else [{"kind": "loss_of_effectiveness", "rotors": [3], "loss": [loss], "onset_s": onset}]
     return {"verdict": verdict, "events": events, "main_event": None if onset is None else 0, "rotors": []}
@@ -32,7 +32,7 @@ def told(verdict="healthy", loss=0.0, onset=None):
 def entry(name: str, aircraft="", utc=None, verdict="healthy", loss=0.0, onset=None, duration=60.0, **more) -> Entry:
     return Entry(
         hash=hashlib.sha256(name.encode()).hexdigest(), path=f"/logs/{name}", name=name, size=1, identity=aircraft and f"uid {aircraft}",
-        called=aircraft, utc=utc, verdict=verdict, duration_s=duration, diagnosis=told(verdict, loss, onset), rotors=4, **more,
+        called=aircraft, utc=utc, verdict=verdict, duration_s=duration, diagnosis=reported(verdict, loss, onset), rotors=4, **more,
     )  # fmt: skip
 
 
@@ -303,7 +303,7 @@ def test_a_report_that_cannot_be_removed_keeps_its_flight(store, monkeypatch):
 @pytest.mark.parametrize(
     ("diagnosis", "loss", "onset"),
     [
-        (told("fault", 0.37, 34.2), 0.37, 34.2),
+        (reported("fault", 0.37, 34.2), 0.37, 34.2),
         ({"events": [{"loss": [0.2, 0.5], "onset_s": 1}, {"loss": None}], "main_event": 0}, 0.5, 1.0),
         ({"rotors": [{"status": "failed", "loss": 0.9}, {"status": "healthy", "loss": 1.0}]}, 0.9, None),
         ({"events": [{"loss": [None, "x", float("nan"), 7.0]}], "main_event": 5}, 1.0, None),

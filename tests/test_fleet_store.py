@@ -111,14 +111,14 @@ def test_maintenance_without_a_time_lies_after_the_last_flight_of_the_aircraft(u
         assert [store.service(aircraft, 0, "new motors")["after"] for aircraft in "AB"] == [2, 4]
 
 
-def test_a_judgement_is_replaced_and_nothing_else(url):
+def test_a_assessment_is_replaced_and_nothing_else(url):
     with Store(url) as store:
         store.add(entry(1))
-        store.judge_again(entry(1, "uid Z", path="/other", verdict="fault", version="9", diagnosis={"verdict": "fault"}))
+        store.assess_again(entry(1, "uid Z", path="/other", verdict="fault", version="9", diagnosis={"verdict": "fault"}))
         (found,) = store.flights()
         assert (found["verdict"], found["version"], found["path"], found["aircraft_name"]) == ("fault", "9", "/logs/1.bin", "A")
         with pytest.raises(StoreError, match="no flight"):
-            store.judge_again(entry(2))
+            store.assess_again(entry(2))
 
 
 def test_what_breaks_off_leaves_nothing(url, monkeypatch):
@@ -217,7 +217,7 @@ def test_exports_are_plain(url):
 
 
 def test_a_flight_is_kept_as_it_was_diagnosed():
-    """A diagnosis made elsewhere is taken as it is, its doubts with it: nothing is judged twice."""
+    """A diagnosis made elsewhere is taken as it is, its doubts with it: nothing is assessed twice."""
     flight = logs.read(SAMPLES / "quadx_healthy_hover.bin.xz")
     found = diagnose(flight)
     assert flight_result.of_flight(flight, "h", "p", 1, found=found) == flight_result.of_flight(flight, "h", "p", 1)

@@ -40,8 +40,8 @@ def status(present=SOUND):
     return mavlink.MAVLink_sys_status_message(present, present, present, 100, 15800, 2000, 77, 0, 0, 0, 0, 0, 0)
 
 
-def judged(link, *events):
-    """The vehicle on a link, being judged, with these events; nothing of it is evaluated."""
+def assessed(link, *events):
+    """The vehicle on a link, being assessed, with these events; nothing of it is evaluated."""
     (vehicle,) = link._vehicles.values()
     vehicle.step, vehicle._begun = (lambda now: None), {}
     vehicle.watched.session = flying().session
@@ -69,7 +69,7 @@ class Station:
         self._put(self._pack, message)
 
     def fly(self, *events):
-        judged(self.link, *events)
+        assessed(self.link, *events)
 
     def ask(self, message):
         """The answers to a message of a ground station."""
@@ -113,7 +113,7 @@ def test_the_motor_outputs_are_healthy_until_a_rotor_is_at_fault_and_all_else_is
     assert bits(station.hear("SYS_STATUS")[0]) == (False, False, False), "out of control nothing is known of the motors"
 
 
-def test_nothing_is_said_of_motors_that_are_not_judged_and_nothing_against_the_autopilot():
+def test_nothing_is_said_of_motors_that_are_not_assessed_and_nothing_against_the_autopilot():
     station = Station()
     station.vehicle(status())
     assert bits(station.hear("SYS_STATUS")[0]) == (False, False, False)
@@ -294,11 +294,11 @@ class Router(threading.Thread):
         self.port, self.ends = self.socket.getsockname()[1], False
 
     def run(self):
-        peers, pack, told = set(), mavlink.MAVLink(None, srcSystem=7, srcComponent=1), 0.0
+        peers, pack, reported = set(), mavlink.MAVLink(None, srcSystem=7, srcComponent=1), 0.0
         with self.socket:
             while not self.ends:
-                if time.monotonic() - told > 0.2:
-                    told = time.monotonic()
+                if time.monotonic() - reported > 0.2:
+                    reported = time.monotonic()
                     for message in (beat(), status()):
                         data = message.pack(pack)
                         pack.seq = (pack.seq + 1) % 256
@@ -330,7 +330,7 @@ def test_mavsdk_shows_events_health_and_state(tmp_path):
         while time.monotonic() - began < 40.0:
             link.poll(0.01)
             if link.vehicles:
-                watched = judged(link, hexa_event())
+                watched = assessed(link, hexa_event())
                 outlet.step([link])
                 if not sent and any('"metadata"' in line for line in lines):
                     sent = True
@@ -344,14 +344,14 @@ def test_mavsdk_shows_events_health_and_state(tmp_path):
         router.ends = True
         router.join(2.0)
         link.leave()
-    told = [json.loads(line) for line in lines if line.startswith("{")]
-    (event,) = [t for t in told if "event" in t]
+    reported = [json.loads(line) for line in lines if line.startswith("{")]
+    (event,) = [t for t in reported if "event" in t]
     assert event == {
         "event": "rotor", "namespace": "rotorwatch", "level": 4, "compid": 191,
         "message": "loss of effectiveness of rotor 3, 37 % (announced)",
     }  # fmt: skip
-    by = {(t["name"], t["compid"]): t for t in told if "name" in t}
+    by = {(t["name"], t["compid"]): t for t in reported if "name" in t}
     assert by["HEARTBEAT", 191]["system_status"] == mavlink.MAV_STATE_CRITICAL
     assert not by["SYS_STATUS", 191]["onboard_control_sensors_health"] & BIT
     assert by["STATUSTEXT", 191]["text"] == "rotorwatch: rotor 3 lost 37 % (33-41)"
-    assert {round(t["volts"], 1) for t in told if "volts" in t} == {15.8}, "the battery that it shows is still the autopilot's"
+    assert {round(t["volts"], 1) for t in reported if "volts" in t} == {15.8}, "the battery that it shows is still the autopilot's"

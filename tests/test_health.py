@@ -10,7 +10,7 @@ import pytest
 from conftest import hexa_diagnosis, hexa_event
 from rotorwatch.answer import health
 from rotorwatch.answer.conclusion import Evidence, conclude
-from rotorwatch.engine.motion.tick_table import JUDGE
+from rotorwatch.engine.motion.tick_table import ASSESS
 from rotorwatch.flight.diagnosis import Trend
 from rotorwatch.report import html, terminal
 from rotorwatch.report.sections import grades as health_section
@@ -41,7 +41,7 @@ def flight(B=QUAD, growth=None, wind=None, step=None, seconds=120.0, seed=0, sag
     b[:, :3] += 0.05 * thrust.mean(axis=1)[:, None]  # a centre of mass that is off
     if wind is not None:
         b[:, :3] += np.asarray(wind) * time[:, None] / 60.0
-    ticks = SimpleNamespace(time=time, thrust=thrust, mode=np.full(T, JUDGE), valid=np.ones((T, 4), bool), upset=np.zeros(T, bool), dt=DT)
+    ticks = SimpleNamespace(time=time, thrust=thrust, mode=np.full(T, ASSESS), valid=np.ones((T, 4), bool), upset=np.zeros(T, bool), dt=DT)
     return SimpleNamespace(theta=known, biases=b), ticks
 
 
@@ -62,7 +62,7 @@ def words(found):
     [
         (0.0, 0.049, "healthy"), (0.05, 0.19, "worn"), (0.2, 0.49, "weak"), (0.5, 0.79, "critical"), (0.8, 1.0, "failed"),
         (0.0, 0.06, "healthy to worn"), (0.19, 0.21, "worn to weak"), (0.7, 0.9, "critical to failed"),
-        (0.0, 0.3, "not judged"), (0.0, 1.0, "not judged"), (-0.1, 0.01, "healthy"), (0.9, 1.4, "failed"),
+        (0.0, 0.3, "not assessed"), (0.0, 1.0, "not assessed"), (-0.1, 0.01, "healthy"), (0.9, 1.4, "failed"),
     ],
 )  # fmt: skip
 def test_a_grade_is_of_the_whole_interval(low, high, said):
@@ -138,7 +138,7 @@ def test_opposite_rotors_of_a_hexarotor():
 
 
 @pytest.mark.parametrize("change", ["short", "blind", "late"])
-def test_too_little_flight_is_not_judged(change):
+def test_too_little_flight_is_not_assessed(change):
     out, ticks = flight(seconds=30.0 if change == "short" else 120.0)
     if change == "blind":
         ticks.valid[:, 2] = False
@@ -152,12 +152,12 @@ def test_too_little_flight_is_not_judged(change):
 SLOW = Trend(0.073, (0.055, 0.091), 18.0, 148.0, "growing", (0.12, 0.2))
 
 
-def told(trends, events=(), **more):
-    return conclude(Evidence(events, 4, hidden=np.full(4, 0.02), judged_s=130.0, trends=trends), **more)
+def reported(trends, events=(), **more):
+    return conclude(Evidence(events, 4, hidden=np.full(4, 0.02), assessed_s=130.0, trends=trends), **more)
 
 
 def test_the_answer_names_the_rotor_whose_loss_grows():
-    end = told((None, SLOW, None, None))
+    end = reported((None, SLOW, None, None))
     assert end.verdict == "ambiguous" and end.rotors[1].trend is SLOW
     assert [r.status for r in end.rotors] == ["healthy", "suspect", "healthy", "healthy"]
     assert end.rotors[1].grade == "worn to weak" and end.rotors[0].grade == "healthy"
@@ -169,14 +169,14 @@ def test_the_answer_names_the_rotor_whose_loss_grows():
 
 def test_suspects_have_no_trend():
     event = hexa_event(rotors=(2,), alternatives=((1,),))
-    end = told((SLOW,) * 4, (event,))
+    end = reported((SLOW,) * 4, (event,))
     assert [r.trend for r in end.rotors] == [None, None, SLOW, SLOW]
     assert "rotor 2 loses" not in end.headline.lower()
 
 
 def test_where_nothing_can_be_said_no_grade_is():
     end = conclude(Evidence((), 4))
-    assert [(r.grade, r.trend) for r in end.rotors] == [("not judged", None)] * 4
+    assert [(r.grade, r.trend) for r in end.rotors] == [("not assessed", None)] * 4
 
 
 def text_of(diagnosis):
@@ -199,7 +199,7 @@ def test_json_terminal_and_page_say_the_same():
     for text in (text_of(made), html.page(made).replace("\u00a0", " ").replace("\u2060", "")):
         assert "worn or weak" in text and "growing: 7.3 % a minute" in text
         assert "critical below 80 %" in " ".join(text.split())
-    nothing = hexa_diagnosis(events=(), judged_s=0.0)
+    nothing = hexa_diagnosis(events=(), assessed_s=0.0)
     assert health_section.rows(nothing) == [] and "Health" not in text_of(nothing)
 
 

@@ -10,7 +10,7 @@ from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.learning import dynamics
 from rotorwatch.engine.bindings.program import estimate
-from rotorwatch.engine.motion.tick_table import GROUND, HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, HOVER_LEARN_S, LEARN, READY_S, Ticks
 from rotorwatch.witnesses import hindsight
 
 DT = 0.1
@@ -26,7 +26,7 @@ def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None,
     thrust = 1.0 + rng.normal(0.0, 0.01, (count, 4))
     weak = (time > onset) & (time <= end)
     thrust[weak, rotor] /= 1.0 - loss
-    mode = np.where(time >= READY_S, JUDGE, LEARN).astype(np.int32)
+    mode = np.where(time >= READY_S, ASSESS, LEARN).astype(np.int32)
     contact = np.zeros(count, bool) if knocked is None else np.abs(time - knocked) < 0.5 * DT
     return Ticks(
         time, time - 0.5 * DT, thrust, thrust @ QUAD.T, np.zeros((count, 3)), rng.normal(0.0, 0.05, (count, 3)),
@@ -36,7 +36,7 @@ def flight(rotor=0, loss=0.0, onset=3.0, end=np.inf, seconds=30.0, knocked=None,
 
 
 def found(ticks):
-    """(what a live observer was told, what is found afterwards)."""
+    """(what a live observer was shown, what is found afterwards)."""
     last, out = estimate(ticks, QUAD)
     return event_rows.read(out, ticks, QUAD), hindsight.find(last, ticks, QUAD)
 
@@ -57,9 +57,9 @@ def test_a_loss_in_the_blind_time_is_found_afterwards(rotor, loss, onset):
     [
         {},
         {"loss": 0.4, "onset": 3.0, "end": 6.0},  # no propeller grows again: a gust, or the ground that was left
-        {"loss": 0.4, "onset": 3.0, "knocked": 3.0},  # what a knock broke is not judged
+        {"loss": 0.4, "onset": 3.0, "knocked": 3.0},  # what a knock broke is not assessed
         {"loss": 0.4, "onset": 3.0, "seconds": 7.0},  # nothing shows that it lasted
-        {"loss": 0.4, "onset": 14.0},  # not in the blind time: told in flight
+        {"loss": 0.4, "onset": 14.0},  # not in the blind time: reported in flight
     ],
 )
 def test_nothing_is_found_where_nothing_broke_or_nobody_can_say(changes):

@@ -35,9 +35,9 @@ def log(tmp_path_factory) -> Path:
 
 def test_texts_from_outside_are_printable(log):
     flight = logs.read(log)
-    told = [flight.name, flight.firmware, *flight.parameters, *flight.warnings, *(m.text for m in flight.messages)]
-    assert all(map(str.isprintable, told))
-    assert any("::error::x" in text for text in told)
+    reported = [flight.name, flight.firmware, *flight.parameters, *flight.warnings, *(m.text for m in flight.messages)]
+    assert all(map(str.isprintable, reported))
+    assert any("::error::x" in text for text in reported)
 
 
 def test_what_can_be_seen_stays_as_it_is():
@@ -66,8 +66,8 @@ def commands(log: Path, folder: Path) -> list[list[str]]:
 
 def test_no_command_of_a_log_reaches_a_terminal(log, tmp_path, run):
     for words in commands(log, tmp_path):
-        _, *told = run(*words)
-        said = "".join(told)
+        _, *reported = run(*words)
+        said = "".join(reported)
         assert said.strip(), words
         assert all(line.isprintable() for line in said.splitlines()), (words, said)
         assert not any(line.startswith("::") for line in said.splitlines()), (words, said)

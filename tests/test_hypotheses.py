@@ -104,9 +104,9 @@ def with_steps(C, z, i, prior, nu):
     """Log of the likelihood ratio of a jump nu of rotor i with Gaussian steps of the axes, variances `prior`, integrated out."""
     n = len(z) - 4
     inner, rest = C[n:, n:], z[n:] - C[n:, i] * nu
-    told = rest @ np.linalg.solve(inner + np.diag(1.0 / prior), rest)
+    reported = rest @ np.linalg.solve(inner + np.diag(1.0 / prior), rest)
     size = np.linalg.slogdet(np.eye(4) + np.sqrt(np.outer(prior, prior)) * inner)[1]
-    return z[i] * nu - 0.5 * C[i, i] * nu**2 + 0.5 * told - 0.5 * size
+    return z[i] * nu - 0.5 * C[i, i] * nu**2 + 0.5 * reported - 0.5 * size
 
 
 def evidence(likelihood, mean, sd):
@@ -160,14 +160,14 @@ def test_slop_is_steps_of_the_axes_integrated_out(seed):
         for moving, more in enumerate((0.0, AIR**2)):
             prior = np.array(found.slop) + np.array([0.0, 0.0, 0.0, more])
             inner = np.linalg.inv(C[w][n:, n:] + np.diag(1.0 / prior))
-            own, told = array(found.own, 2, n)[moving], array(found.score, 2, n)[moving]
+            own, reported = array(found.own, 2, n)[moving], array(found.score, 2, n)[moving]
             for i in range(n):
                 assert own[i] == pytest.approx(C[w, i, i] - C[w, i, n:] @ inner @ C[w, n:, i], rel=1e-8)
-                assert told[i] == pytest.approx(z[w, i] - C[w, i, n:] @ inner @ z[w, n:], rel=1e-8, abs=1e-8)
+                assert reported[i] == pytest.approx(z[w, i] - C[w, i, n:] @ inner @ z[w, n:], rel=1e-8, abs=1e-8)
                 for nu in (0.0, 0.3):
                     expected = with_steps(C[w], z[w], i, prior, nu)
                     gain = float(logs(found.nats[moving], found.weight[moving]))
-                    assert gain + told[i] * nu - 0.5 * own[i] * nu**2 == pytest.approx(expected, rel=1e-9)
+                    assert gain + reported[i] * nu - 0.5 * own[i] * nu**2 == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("loss, sd", [(0.15, 0.02), (0.4, 0.05)])
@@ -326,11 +326,11 @@ def test_a_manoeuvre_in_calm_air_is_no_loss():
     C, z = quad_evidence(wrong=(0.25, 1.0, 0.2, 0.5), loss=0.3, sd=0.02)
     calm, far, weight = np.full(4, 0.03), room(hypotheses.DISTURBANCE_COUNT), room(hypotheses.DISTURBANCE_COUNT)
     hyp, logbf, _ = factors(4, C, z, reach=1.0, air=1e-12, width=calm)
-    told = dict(zip(hyp.names, logbf[0]))
+    reported = dict(zip(hyp.names, logbf[0]))
     hypotheses.steps(window(C[0], z[0]), calm.tolist(), hypotheses.FAR, 0, far, weight)
-    usual = max(v for name, v in told.items() if "rotor" not in name)
-    assert told["rotor 1"] > usual + np.log(10.0)
-    assert max(logs(far, weight)) > told["rotor 1"] + np.log(10.0)
+    usual = max(v for name, v in reported.items() if "rotor" not in name)
+    assert reported["rotor 1"] > usual + np.log(10.0)
+    assert max(logs(far, weight)) > reported["rotor 1"] + np.log(10.0)
 
 
 def test_no_data_says_nothing():
@@ -369,8 +369,8 @@ def test_a_rotor_that_gives_one_thrust_is_the_integral_over_that_thrust(rotor):
         z[w] = C[w] @ nu
     top = 0.5 * z @ nu
     hyp, logbf, _, _, (gives, variance) = with_spread(n, C, z)
-    told = logbf[:, np.array(hyp.kinds) == "stuck"]
-    assert (told.argmax(axis=1) == rotor).all()
+    reported = logbf[:, np.array(hyp.kinds) == "stuck"]
+    assert (reported.argmax(axis=1) == rotor).all()
     mean, sd = 0.5 * (1.0 + FULL), 0.5 * (FULL - 1.0)
     for w in range(len(C)):
 
@@ -383,12 +383,12 @@ def test_a_rotor_that_gives_one_thrust_is_the_integral_over_that_thrust(rotor):
             middle = gives[w, rotor]
             return quad(lambda f: density(f) * (f - middle) ** power, -1.5, 4.5, points=[middle], epsabs=1e-13, limit=200)[0]
 
-        assert told[w, rotor] == pytest.approx(top[w] + np.log(moment(0) / (sd * np.sqrt(2.0 * np.pi))), abs=1e-6)
+        assert reported[w, rotor] == pytest.approx(top[w] + np.log(moment(0) / (sd * np.sqrt(2.0 * np.pi))), abs=1e-6)
         assert gives[w, rotor] == pytest.approx(thrust, abs=0.1)
         assert variance[w, rotor] == pytest.approx(moment(2) / moment(0), rel=1e-4)
 
 
-def test_a_rotor_that_gives_hardly_more_than_in_hover_is_told_by_its_loss():
+def test_a_rotor_that_gives_hardly_more_than_in_hover_is_reported_by_its_loss():
     C, _ = information(4)
     z = np.stack([c @ np.concatenate([np.eye(4)[1], -1.2 * effect(4)[:, 1]]) for c in C])
     hyp, logbf, *_ = with_spread(4, C, z)

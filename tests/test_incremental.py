@@ -19,9 +19,9 @@ WAYS = {
     "payload": {"airframe": {"payload_kg": 0.5, "payload_at_m": [0.1, 0.08, 0.1]}},
     "loss": {"faults": [{"kind": "loss", "rotor": 2, "onset_s": ONSET_S, "strength": 0.6}]},
     "total": GONE,
-    "told": GONE,
+    "reported": GONE,
 }
-USUAL = ("hover", "loss", "total", "told")  # the others run with --thorough alone
+USUAL = ("hover", "loss", "total", "reported")  # the others run with --thorough alone
 
 
 def asked(way, control):
@@ -37,7 +37,7 @@ def flown(amount):
     made = [(way, control) for way in amount(USUAL, WAYS) for control in ("pid", "indi")]
     scenarios = [asked(*flight) for flight in made]
     e = np.array([1.0, 0.0, 1.0, 1.0, 1.0, 1.0])
-    entries = [[reconfigured.entry(6, ONSET_S + 0.1, e)] if way == "told" else [] for way, _ in made]
+    entries = [[reconfigured.entry(6, ONSET_S + 0.1, e)] if way == "reported" else [] for way, _ in made]
     plans = [prepare.plan(s)._replace(schedule=reconfigured.schedule(6, m, 1)) for s, m in zip(scenarios, entries, strict=True)]
     craft, first = reconfigured.Reconfigured(rows(prepare.vehicle(scenarios[0]))), scenarios[0]
     records = loop.fly_many(craft, loop.stack(plans), first.duration_s, first.rate_hz, first.record_hz)
@@ -67,14 +67,14 @@ def test_a_loss_is_answered_before_anybody_knows_of_it(flown):
 
 
 def test_without_a_rotor_it_stays_where_somebody_says_so(flown):
-    off, tilt, _ = flown["told", "indi"]
+    off, tilt, _ = flown["reported", "indi"]
     assert off[-1] < 1.0 and tilt.max() < 40.0
     off, _, _ = flown["total", "indi"]
     assert off.max() > 3.0  # yaw and height cannot both be had with a rotor that gives nothing and is reckoned with
 
 
 def test_what_the_rotors_do_is_no_disturbance():
-    """Rotors that do what they are told, with their lag and their momentum, and nothing else: nothing is made up for."""
+    """Rotors that do what they are commanded, with their lag and their momentum, and nothing else: nothing is made up for."""
     s = asked("hover", "indi")
     plan = prepare.plan(s)
     known, dt, cut = plan.pilot.inversion, 1e-4, float(plan.pilot.gyro_cut)
@@ -90,9 +90,9 @@ def test_what_the_rotors_do_is_no_disturbance():
         return (memory._replace(demand=demand), f + dt * slope, gyro + dt * (known.turns @ f + yaw)), seen
 
     start = (incremental.rest(n, float), jnp.full(n, 0.4), jnp.zeros(3))
-    seen, told = (np.asarray(a)[1000:] for a in jax.lax.scan(step, start, jnp.arange(4000))[1])
+    seen, reported = (np.asarray(a)[1000:] for a in jax.lax.scan(step, start, jnp.arange(4000))[1])
     assert np.abs(seen).max(axis=0).min() > 0.05
-    assert np.abs(seen - told).max() < 0.02 * np.abs(seen).max()
+    assert np.abs(seen - reported).max() < 0.02 * np.abs(seen).max()
 
 
 def test_the_numbers_are_those_of_the_vehicle():

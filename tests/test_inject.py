@@ -90,7 +90,7 @@ def test_before_the_onset_nothing_changes():
         np.testing.assert_array_equal(faulty[name].valid, flight[name].valid)
 
 
-def test_a_command_at_its_limit_is_cut_off_and_told():
+def test_a_command_at_its_limit_is_cut_off_and_reported():
     flight, vehicle = made(hover=0.7)
     faulty = inject.inject(flight, vehicle, 1, 0.6, ONSET)
     assert faulty["motors"].values.max() == pytest.approx(vehicle.curve.u_max)
@@ -170,14 +170,14 @@ def test_campaign_on_the_sample_flight():
     """Simulated noise is small: a large loss is found at once, in the right rotor, with the right size."""
     flight = logs.read(next(cli.SAMPLES.glob("quadx_healthy*")))
     flight = flight.until(45.0)
-    told = []
-    result = inject.campaign([flight], losses=(0.3,), repeats=1, seed=3, progress=lambda share, text: told.append(share))
+    reported = []
+    result = inject.campaign([flight], losses=(0.3,), repeats=1, seed=3, progress=lambda share, text: reported.append(share))
     (row,) = result["table"]
     assert row["injections"] == 4 and row["detected"] == row["right"] == 1.0 and row["false_alarms"] == 0
     assert row["loss_rms"] < 0.03 and row["median_delay_s"] < 2.0
     assert result["healthy"]["flights"] == 1 and result["healthy"]["false_alarms"] == 0
     assert result["healthy"]["hours"] == pytest.approx(33.0 / 3600, abs=3.0 / 3600)
-    assert told == sorted(told) and told[-1] == 1.0
+    assert reported == sorted(reported) and reported[-1] == 1.0
     ((start, end),) = air_spans.airborne(flight)
     assert all(start + 11.0 <= t["onset_s"] <= end - 12.0 for t in result["trials"])
 

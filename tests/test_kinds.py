@@ -37,7 +37,7 @@ PLANTED = (
 KINDS = tuple(kinds.table().values())
 EVENT_ROWS = tuple(row for row in KINDS if row.weight is not Weight.OPEN)  # the others are no events of an answer
 NAMES = (*(row.name for row in (*EVENT_ROWS, *PLANTED)), "of_another_version")
-# Where a kind's name may stand besides the table: what judges a loss of control names causes so, and ticks have a column.
+# Where a kind's name may stand besides the table: what assesses a loss of control names causes so, and ticks have a column.
 ELSEWHERE = {"engine/motion/tick_table.py": {kinds.CONTACT}, "engine/definition.py": {kinds.CONTACT}}  # a file of that name
 
 
@@ -128,16 +128,16 @@ def test_a_rotor_that_follows_no_command_is_said_so_everywhere():
         assert ground.text_of(alert)[0] == f"rotorwatch: rotor 3 stuck at {words} hover"
 
 
-def test_what_a_stuck_rotor_gives_is_told_again_when_it_is_another_thrust():
+def test_what_a_stuck_rotor_gives_is_reported_again_when_it_is_another_thrust():
     """The first estimate was 1.9 times hover, and that of the whole log 3.3."""
     event = hexa_event(end_s=None, loss=(0.98,), interval=((0.9, 1.0),), extra={"gives": 1.94})
     changes, alert = Changes(), {"type": "event", "state": "announced", "vehicle": "1", "number": 1}
     assert [c.what for c in changes.since_last((event,))] == ["announced"]
-    told = ground.gist({**alert, "event": event.to_dict()})
+    reported = ground.gist({**alert, "event": event.to_dict()})
     for gives, new, worth in ((1.97, [], False), (2.1, ["changed"], False), (3.3, ["changed"], True)):
         event = replace(event, extra={"gives": gives})
         assert [c.what for c in changes.since_last((event,))] == new
-        assert ground.worth_sending(told, {**alert, "state": "changed", "event": event.to_dict()}) is worth
+        assert ground.worth_sending(reported, {**alert, "state": "changed", "event": event.to_dict()}) is worth
 
 
 def test_a_kind_without_words_of_its_own_has_the_plain_ones():
@@ -181,7 +181,7 @@ def test_no_other_source_spells_out_kinds():
     assert all(names <= ELSEWHERE.get(name, set()) for name, names in found.items()), found
 
 
-def test_some_part_of_the_judging_makes_each_kind():
+def test_some_part_of_the_assessing_makes_each_kind():
     rooms = ("engine", "witnesses", "answer")
     trees = [ast.parse(p.read_text(encoding="utf-8")) for room in rooms for p in (SOURCE / room).rglob("*.py")]
     nodes = [node for tree in trees for node in ast.walk(tree)]

@@ -22,7 +22,7 @@ from rotorwatch.engine.bindings import program
 from rotorwatch.engine.bindings.default import Default
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.estimator.plant import PER_AXIS, TAU, THETA
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, LEARN
 from rotorwatch_lab.estimators.adaptive_ekf import AdaptiveEKF
 from rotorwatch_lab.estimators.ekf import EKF
 from rotorwatch_lab.experiments import limits
@@ -41,7 +41,7 @@ jax = load_jax()
 
 
 def rates_quad():
-    """A quad in hover thrusts of one rotor, as logs are judged."""
+    """A quad in hover thrusts of one rotor, as logs are assessed."""
     B = airframes.named("ardupilot-quad-x").effectiveness()
     return RateDynamics(np.diag([0.012, 0.013, 0.025]), np.diag([1, 1, 0.08]) @ B[:3], B[3], 4 / 9.80665, 0.01, 0.3, 0.01 * np.ones(3))
 
@@ -120,7 +120,7 @@ def balanced(seed=0, motion=1.0, loss=LOSS, mode=None):
     )
     when = np.arange(TICKS)
     if mode is None:
-        mode = np.where(when < TAKE_OFF, GROUND, np.where(when < READY, LEARN, JUDGE))
+        mode = np.where(when < TAKE_OFF, GROUND, np.where(when < READY, LEARN, ASSESS))
     u = np.column_stack([plant.packed(table, n), np.broadcast_to(mode, TICKS), when == TAKE_OFF]).astype(float)
     return u, thrust @ B.T, gaps()
 
@@ -155,7 +155,7 @@ class Case:
         return jax.lax.scan(tick, self.estimator.init(), rows, reverse=self.reverse)[1]
 
     def over(self, u, y, valid, dt=None):
-        """Every step is told its length: one compiled program, whatever a law asks."""
+        """Every step is given its length: one compiled program, whatever a law asks."""
         if self._compiled is None:
             self._compiled = jax.jit(lambda *table: self.run(*table))
         return jax.tree.map(np.asarray, self._compiled(u, y, valid, np.full(len(u), self.dt) if dt is None else dt))
@@ -290,7 +290,7 @@ def nothing_is_learned_where_nothing_is_measured(case):
 
 
 def many_flights_at_once_are_the_same_as_one_by_one(case):
-    """And a step that is told no length has the constructor's."""
+    """And a step that is given no length has the constructor's."""
     flights = case.flight(), case.flight(2, 0.0)
     together = jax.jit(jax.vmap(case.run))(*(np.stack(column) for column in zip(*flights, strict=True)))
     for k, table in enumerate(flights):
@@ -298,7 +298,7 @@ def many_flights_at_once_are_the_same_as_one_by_one(case):
 
 
 def compiled_is_the_same_as_not(case):
-    """And a step that is told no length has the constructor's."""
+    """And a step that is given no length has the constructor's."""
     u, y, valid = case.flight()
     carry = case.estimator.init()
     for k in range(2):

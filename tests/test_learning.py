@@ -9,7 +9,7 @@ from rotorwatch import airframes
 from rotorwatch.engine.bindings import learning
 from rotorwatch.engine.bindings.plant_rows import AXIS_STATES, any_air, any_multirotor
 from rotorwatch.engine.estimator.plant import DAMPING, GAIN, PER_AXIS, SHARE_SD
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN
 
 DT = 0.05
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
@@ -17,14 +17,14 @@ Y6 = airframes.named("ardupilot-y6").effectiveness()
 KNOWN = np.array([a * PER_AXIS + k for a in range(4) for k in (GAIN, DAMPING)])
 
 
-def flight(gain=1.0, sd=0.1, noise=1.0, judged_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0, air=(0.05, 0.05)):
+def flight(gain=1.0, sd=0.1, noise=1.0, assessed_s=20.0, dt=DT, share=0.0, share_sd=0.05, bias=0.0, air=(0.05, 0.05)):
     """What the estimator would end with: gains and dampings `gain` times 1, 2 .. 8, known to `sd`; biases, which are not to be learned."""
     s, P = np.full(AXIS_STATES + 2, bias), np.eye(AXIS_STATES + 2)
     s[KNOWN], P[KNOWN, KNOWN] = gain * np.arange(1.0, 9.0), sd**2
     s[-1], P[-1, -1] = share, share_sd**2
     s[-2], P[-2, -2] = air[0], air[1] ** 2
-    ticks = round(judged_s / dt)
-    mode = np.concatenate([np.full(100, LEARN), np.full(ticks, JUDGE)])
+    ticks = round(assessed_s / dt)
+    mode = np.concatenate([np.full(100, LEARN), np.full(ticks, ASSESS)])
     carry = SimpleNamespace(s=s, P=P, variances=np.broadcast_to(noise, (4, 4)))
     return SimpleNamespace(mode=mode, dt=dt, carry=carry)
 
@@ -88,11 +88,11 @@ def test_biases_are_each_flights_own(learn):
 
 
 @pytest.mark.parametrize("dt", [0.05, 0.5])
-def test_what_is_judged_for_less_than_ten_seconds_teaches_nothing(learn, dt):
+def test_what_is_assessed_for_less_than_ten_seconds_teaches_nothing(learn, dt):
     """Seconds, whatever the length of a tick."""
-    short = flight(9.0, noise=9.0, judged_s=9.5, dt=dt)
+    short = flight(9.0, noise=9.0, assessed_s=9.5, dt=dt)
     assert learn([short], QUAD) is None and learn([], QUAD) is None
-    long = flight(judged_s=10.0, dt=dt)
+    long = flight(assessed_s=10.0, dt=dt)
     assert learn([long], QUAD) is not None and learn([short, long], QUAD)["x0"] == learn([long], QUAD)["x0"]
 
 

@@ -41,7 +41,7 @@ def merged(*claims):
     return ledger.merge(claims, Report(B), (), B.shape[1])
 
 
-def test_what_was_told_in_flight_gives_way_to_what_is_known_afterwards():
+def test_what_was_reported_in_flight_gives_way_to_what_is_known_afterwards():
     early = loss(3.0, detected=15.0, source=hindsight.SOURCE)
     rest, later, another = loss(12.0, detected=14.0), loss(31.0), loss(12.0, rotor=5, detected=32.5)
     assert merged(rest).events == (rest,)
@@ -61,12 +61,12 @@ STEP = other(DESYNC, 20.0, 20.1, rotors=(3,), source=desync.SOURCE)
 
 
 @pytest.mark.parametrize(
-    "claim, known, told",
+    "claim, known, reported",
     [
         (STANDS, loss(22.9), False),  # the motion shows a moment later that it stands
         (STANDS, loss(23.1), True),
         (STANDS, replace(loss(22.0, rotor=5), alternatives=((3,), (1,))), False),  # one of several explanations
-        (STANDS, other(OVERRIDE, 19.0, rotors=(3,)), False),  # it was told to
+        (STANDS, other(OVERRIDE, 19.0, rotors=(3,)), False),  # it was commanded to
         (STANDS, other(CONTACT, 19.0, rotors=()), True),
         (CHANGED, loss(40.0), False),  # whenever: an ESC's law changes slowly
         (CHANGED, loss(20.0, rotor=5), True),
@@ -79,8 +79,8 @@ STEP = other(DESYNC, 20.0, 20.1, rotors=(3,), source=desync.SOURCE)
         (STEP, loss(19.0, size=0.4), True),
     ],
 )
-def test_what_is_known_is_not_said_again(claim, known, told):
-    assert ledger.explained(claim, (known,)) is not told
+def test_what_is_known_is_not_said_again(claim, known, reported):
+    assert ledger.explained(claim, (known,)) is not reported
     assert not ledger.explained(claim, ())
 
 
@@ -128,7 +128,7 @@ COMPARED = [hexa_event(kind=FROM_TAKEOFF, source=source) for source in (from_tak
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_claims_that_are_no_events_are_told_where_nothing_explains_them(order):
+def test_claims_that_are_no_events_are_reported_where_nothing_explains_them(order):
     """The trim of a whole flight says more than its steps, and these more than what the estimator leaves."""
     unsure, knock = loss(20.0, rotor=1), other(CONTACT, 20.0, rotors=())
     unsure = replace(unsure, alternatives=((2,),))

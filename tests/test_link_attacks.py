@@ -1,4 +1,4 @@
-"""Who else sends under a vehicle's id, by mistake or on purpose: the vehicle is judged all the same, and what changes is said."""
+"""Who else sends under a vehicle's id, by mistake or on purpose: the vehicle is assessed all the same, and what changes is said."""
 
 import struct
 
@@ -68,9 +68,9 @@ def undisturbed():
 
 
 def found_in_time(alerts, undisturbed):
-    told = losses(alerts)
-    assert told and all(rotors == [2] for _, rotors, _ in told) and "withdrawn" not in {state for state, *_ in told}, told
-    assert told[0][0] == "announced" and told[0][2] == pytest.approx(undisturbed, abs=0.2)
+    reported = losses(alerts)
+    assert reported and all(rotors == [2] for _, rotors, _ in reported) and "withdrawn" not in {state for state, *_ in reported}, reported
+    assert reported[0][0] == "announced" and reported[0][2] == pytest.approx(undisturbed, abs=0.2)
 
 
 @pytest.mark.thorough(keep=2)
@@ -206,8 +206,8 @@ def test_garbage_under_the_id_does_not_take_over_while_the_vehicle_sends(undistu
 def test_after_garbage_has_taken_over_the_vehicle_is_followed_again():
     """It was silent from 8 to 11.5 s; who came in meanwhile sends nothing that can be used."""
     alerts, _link = flown(garbage(), lambda at, frame: [] if 8.0 < at < 11.5 else [("a", frame)])
-    told = losses(alerts)
-    assert told and all(rotors == [2] for _, rotors, _ in told) and told[-1][0] != "withdrawn" and told[0][2] < 28.0
+    reported = losses(alerts)
+    assert reported and all(rotors == [2] for _, rotors, _ in reported) and reported[-1][0] != "withdrawn" and reported[0][2] < 28.0
     assert [text for text in texts(alerts) if "received through a instead of" in text]
 
 
@@ -224,7 +224,7 @@ class Asked(Wire):
             self.streams = any(m.get_type() == "COMMAND_LONG" and m.command == 511 for m in self.vehicle.asked)
 
 
-def test_each_address_is_asked_in_turn_while_none_sends_what_judging_needs():
+def test_each_address_is_asked_in_turn_while_none_sends_what_assessing_needs():
     now, alerts, wire = [0.0], [], Asked()
     link = Link(wire, lambda alert: alerts.append({**alert, "at": now[0]}), clock=lambda: now[0])
     beat, other = mavlink.MAVLink_heartbeat_message(QUAD, ARDUPILOT, 0x80, 0, 4, 3), Autopilot({})
@@ -278,7 +278,7 @@ def test_outputs_of_one_moment_that_their_neighbours_contradict_accuse_no_rotor(
 
     alerts, link = flown((), change, which=0)
     assert not [a for a in alerts if a["type"] == "event"]
-    assert link.vehicles[0].session.judged
+    assert link.vehicles[0].session.assessed
 
 
 def test_outputs_that_jump_and_stay_pass_with_the_next_sample():

@@ -19,7 +19,7 @@ BAD = Faults(0.3, 0.1, 0.2, 0.05, 0.03, 0.05, holds=((15.0, 0.8), (30.0, 0.5)))
         (HEALTHY, BAD, "quiet"),
         (FAULTY, BAD, "found"),
         (FAULTY, Faults(second="elsewhere"), "found"),
-        (HEALTHY, Faults(second="here"), "not judged"),
+        (HEALTHY, Faults(second="here"), "not assessed"),
     ],
 )
 def test_a_bad_link_raises_no_false_alarm_and_names_no_wrong_rotor(number, faults, wanted):
@@ -34,7 +34,7 @@ def test_a_loss_that_begins_within_cuts_is_named():
     assert flown(0, number)["outcome"] == "found"
 
 
-def test_nothing_is_told_of_a_second_vehicle_with_the_same_id():
+def test_nothing_is_reported_of_a_second_vehicle_with_the_same_id():
     """It comes in at 28.8 s with a loss of rotor 2, which is no loss of this vehicle's."""
     assert drawn_of(997).second == "here"
     assert flown(0, 997)["outcome"] == "found"
@@ -44,11 +44,11 @@ def drawn_of(number):
     return link_faults.drawn(np.random.default_rng((0, number)))
 
 
-def test_random_and_mutated_datagrams_are_counted_and_the_flight_is_judged():
+def test_random_and_mutated_datagrams_are_counted_and_the_flight_is_assessed():
     link = link_faults.datagrams(3000)
     (vehicle,) = link.vehicles
     assert link.damaged > 2000 and vehicle.trouble == ""
-    assert vehicle.session is not None and vehicle.session.now > 40.0 and vehicle.session.judged
+    assert vehicle.session is not None and vehicle.session.now > 40.0 and vehicle.session.assessed
     assert vehicle.changes.now == {}
 
 

@@ -16,7 +16,7 @@ from rotorwatch import diagnose, logs
         ("quadx_m3_mul0.85_tlog", "asked for, 3 s cut", 0.3),  # the loss begins within the gap
     ],
 )
-def test_over_a_link_a_flight_is_judged_as_its_log_is(name, link, late_s):
+def test_over_a_link_a_flight_is_assessed_as_its_log_is(name, link, late_s):
     if not (RECORDED / f"{name}.bin.xz").exists():
         pytest.skip(f"the shared flight {name} is not here")
     row = compared(name, link)
@@ -24,13 +24,13 @@ def test_over_a_link_a_flight_is_judged_as_its_log_is(name, link, late_s):
     assert not row["wrong"] and 0.0 <= row["late_s"] < late_s
 
 
-def test_over_a_link_a_vehicle_that_falls_is_told_with_its_rotor():
+def test_over_a_link_a_vehicle_that_falls_is_reported_with_its_rotor():
     if not (CRASH := RECORDED.parent / "crash" / "quad-off-1.bin.xz").exists():
         pytest.skip("the shared flight quad-off-1 is not here")
     flight = logs.read(CRASH)
-    told, recording, _ = sent(flight, 2, "asked for")
+    reported, recording, _ = sent(flight, 2, "asked for")
     (own,) = [e for e in diagnose(flight).events if e.kind == "loss_of_control"]
-    for events in (told, recording):
+    for events in (reported, recording):
         (lost,) = [e for e in events if e["kind"] == "loss_of_control"]
         assert lost["rotors"] == list(own.rotors) == [2] and lost["cause"] == "rotor"
         assert abs(lost["detected_s"] - own.detected_s) < 0.5 and abs(lost["impact_s"] - own.extra["impact_s"]) < 0.3

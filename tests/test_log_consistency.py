@@ -142,7 +142,7 @@ def test_slow_outputs_beside_a_fast_controller():
 # Motion
 
 
-def test_commands_without_motion_are_not_judged():
+def test_commands_without_motion_are_not_assessed():
     flight = with_signals(flown(), gyro=None, rates=None, attitude=None, accel=None)
     answer = diagnose(flight)
     assert answer.verdict == "inconclusive" and not answer.events and "neither gyro nor attitude" in answer.reason

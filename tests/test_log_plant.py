@@ -17,7 +17,7 @@ from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.bank import FIRST_LOSS, Window
 from rotorwatch.engine.estimator.hypotheses import Asked, Freed, Jump, pair, steps
 from rotorwatch.engine.estimator.plant import Plant
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch_lab.compiling.run import run
 from rotorwatch_lab.estimators.ekf import EKF
@@ -50,7 +50,7 @@ def ticks(B, theta=None, T=300, dt=0.05, seed=0, restarts=(0,), learn_s=4.0):
     wrench = G * np.column_stack([rate_dot, n * load]) + C * np.column_stack([rate, np.zeros(T)]) + BIAS
     thrust = wrench @ np.linalg.pinv(B * (1.0 - theta)).T
     time = dt * np.arange(1, T + 1)
-    mode, restart = np.full(T, JUDGE), np.zeros(T, bool)
+    mode, restart = np.full(T, ASSESS), np.zeros(T, bool)
     for k in restarts:
         mode[k : k + round(learn_s / dt)], restart[k] = LEARN, True
     return Ticks(
@@ -270,7 +270,7 @@ def known():
 
 
 def losses_of(name, quad, tuning=None):
-    out, _ = published.judge(name, *quad, known(), tuning)
+    out, _ = published.assess(name, *quad, known(), tuning)
     return out, event_rows.read(out, quad[0], quad[1])
 
 
@@ -282,7 +282,7 @@ def test_a_published_method_finds_the_rotor(quad):
     assert abs(event.onset_s - 18.0) < 1.0
     for name, values in zip(out._fields, out, strict=True):
         assert np.isfinite(np.asarray(values, float)).all(), name
-    assert (out.theta[quad[0].mode != JUDGE] == 0).all()
+    assert (out.theta[quad[0].mode != ASSESS] == 0).all()
 
 
 def test_what_is_missing_is_written_down_whole(quad):
@@ -290,8 +290,8 @@ def test_what_is_missing_is_written_down_whole(quad):
     ticks, B = quad
     out, (event,) = losses_of("ekf", quad)
     missing = out.biases + (ticks.thrust * out.theta) @ B.T
-    judged = ticks.mode == JUDGE
-    for part, loss in ((judged & (ticks.time < 17.0), 0.0), (judged & (ticks.time > event.detected_s + 3.0), 0.35)):
+    assessed = ticks.mode == ASSESS
+    for part, loss in ((assessed & (ticks.time < 17.0), 0.0), (assessed & (ticks.time > event.detected_s + 3.0), 0.35)):
         wanted = loss * ticks.thrust[part, 2].mean() * B[:, 2]
         np.testing.assert_allclose(missing[part].mean(axis=0)[:2], wanted[:2], atol=0.06)
 
@@ -325,7 +325,7 @@ def test_tuning_reaches_the_method(quad):
     with pytest.raises(ConfigError, match="no tuning called"):
         published.method("ekf", hop.system, hop.dt, published.Tuning(keywords={"wisdom": 1.0}))
     with pytest.raises(ConfigError, match="no estimator called"):
-        published.judge("crystal ball", *quad)
+        published.assess("crystal ball", *quad)
 
 
 @pytest.mark.parametrize("frame", ["ardupilot-quad-x", "ardupilot-hexa-x"])

@@ -92,8 +92,8 @@ def page(project, tmp_path_factory, amount):
     return folder
 
 
-def judged(command, log):
-    """The answer to a log that is judged."""
+def assessed(command, log):
+    """The answer to a log that is assessed."""
     done = subprocess.run([command, log], capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
 
@@ -101,17 +101,17 @@ def judged(command, log):
 @needs_gcc
 @pytest.mark.parametrize("name", [DATAFLASH, ULOG])
 def test_it_says_what_diagnose_says(name, command, logs):
-    answer, told = judged(command, logs / name), diagnose(logs / name)
-    assert answer["verdict"] == told.verdict == "fault"
-    (loss,), (known,) = answer["events"], told.events
+    answer, reported = assessed(command, logs / name), diagnose(logs / name)
+    assert answer["verdict"] == reported.verdict == "fault"
+    (loss,), (known,) = answer["events"], reported.events
     assert loss["kind"] == known.kind and loss["rotors"] == list(known.rotors) == WEAK[name]
     assert loss["onset_s"] == pytest.approx(known.onset_s, abs=SAME_S) and loss["loss"][0] == pytest.approx(known.loss[0], abs=SAME)
     flight = answer["flight"]
-    assert flight["frame"] == told.flight["frame"] and flight["duration_s"] == pytest.approx(told.flight["duration_s"], abs=1e-3)
-    assert np.ravel(flight["hops"]) == pytest.approx(np.ravel(told.flight["hops"]), abs=1e-3)
+    assert flight["frame"] == reported.flight["frame"] and flight["duration_s"] == pytest.approx(reported.flight["duration_s"], abs=1e-3)
+    assert np.ravel(flight["hops"]) == pytest.approx(np.ravel(reported.flight["hops"]), abs=1e-3)
     assert answer["main_event"] == 0 and answer["tumbled_s"] is None and "rotorwatch diagnose" in answer["left_to_diagnose"]
     assert [(g["x"], g["y"], g["spin"]) for g in flight["geometry"]] == [
-        (pytest.approx(g["x"], abs=1e-3), pytest.approx(g["y"], abs=1e-3), g["spin"]) for g in _scaled(told.flight["geometry"])
+        (pytest.approx(g["x"], abs=1e-3), pytest.approx(g["y"], abs=1e-3), g["spin"]) for g in _scaled(reported.flight["geometry"])
     ]
 
 
@@ -122,9 +122,9 @@ def _scaled(geometry):
 
 @needs_gcc
 def test_a_healthy_flight_has_no_events(command, logs):
-    answer = judged(command, logs / "quadx_healthy_hover.bin")
+    answer = assessed(command, logs / "quadx_healthy_hover.bin")
     assert answer["verdict"] == "nothing found" and answer["events"] == [] and answer["main_event"] is None
-    assert answer["flight"]["judged_s"] > 20.0
+    assert answer["flight"]["assessed_s"] > 20.0
 
 
 @needs_gcc
@@ -151,16 +151,16 @@ def test_bad_input_gets_a_sentence(command, logs, tmp_path):
 
 @needs_gcc
 @pytest.mark.parametrize("name", [DATAFLASH, ULOG])
-def test_a_log_that_was_cut_is_judged_up_to_the_cut(name, command, logs, tmp_path):
+def test_a_log_that_was_cut_is_assessed_up_to_the_cut(name, command, logs, tmp_path):
     data = (logs / name).read_bytes()
     (tmp_path / name).write_bytes(data[: int(0.9 * len(data)) + 5])
-    answer = judged(command, tmp_path / name)
+    answer = assessed(command, tmp_path / name)
     assert answer["events"][0]["rotors"] == WEAK[name] and "ends in the middle" in answer["warnings"][0]
 
 
 @needs_gcc
 @pytest.mark.parametrize("name", [DATAFLASH, ULOG])
-def test_damage_is_refused_or_judged_within_its_memory(name, build, logs, tmp_path, amount):
+def test_damage_is_refused_or_assessed_within_its_memory(name, build, logs, tmp_path, amount):
     """With the address and undefined-behaviour sanitizers, which end the program at the first wrong access."""
     checked, data = build(*SANITIZED), (logs / name).read_bytes()
     data = data[: int(0.45 * len(data))]  # a shorter flight is quicker
@@ -212,7 +212,7 @@ def alike(one, other):
     return one == (pytest.approx(other, abs=2e-4) if isinstance(one, float) else other)
 
 
-def test_the_page_judges_a_log_without_a_network(page, logs, chromium):
+def test_the_page_assesses_a_log_without_a_network(page, logs, chromium):
     """On a phone, and on a wide screen."""
     with launched(chromium) as browser:
         tab = Tab(browser, (page / "rotorwatch.html").as_uri(), viewport={"width": 390, "height": 900}, offline=True)

@@ -529,7 +529,7 @@ def airframes_factors(frame):
 
 @pytest.mark.parametrize("frame", ["quad-x", "quad-plus", "hexa-x", "hexa-plus", "y6", "octa-x8", "octa-x", "octa-plus"])
 @pytest.mark.parametrize("turned", [False, True])
-def test_frames_are_told_apart(file, frame, turned):
+def test_frames_are_reported_apart(file, frame, turned):
     craft = airframes.identify(logs.read(file("x.bbl", mixed(frame, turned))))
     assert craft.name == f"betaflight-{frame}{'-reversed' if turned else ''}"
     named = airframes.named(craft.name)
@@ -762,7 +762,7 @@ def test_files_with_one_flight_have_no_parts(file):
         logs.read(f"{table}#2")
 
 
-def test_every_session_is_judged_the_longest_first(file, tmp_path):
+def test_every_session_is_assessed_the_longest_first(file, tmp_path):
     path = file("LOG.BFL", three())
     wanted = [tmp_path / f"LOG.BFL#{k}" for k in (2, 3, 1)]
     assert gathering.is_several(path) and list(gathering.Gathered([path])) == wanted

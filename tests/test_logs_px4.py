@@ -281,7 +281,7 @@ def test_uavcan_outputs_have_their_order_and_ends_from_the_parameters():
     assert np.allclose(motors.values[20:].mean(axis=0), [0.5, 0.6, 0.4, 0.3], atol=0.01)
 
 
-def test_counts_that_look_like_pulses_are_told_by_the_parameters():
+def test_counts_that_look_like_pulses_are_reported_by_the_parameters():
     """A light vehicle flies UAVCAN at 1300 to 2300 counts; without the parameters such values are pulses."""
     tables = topics(actuator_outputs=counts(0.22, 0.22, 0.22, 0.22, off=0, full=8191.0))
     light = {k: np.where(v > 0, 1800 + (v - v.mean()) * 0.5, 0.0) for k, v in tables.tables["actuator_outputs", 0].items()}
@@ -309,7 +309,7 @@ def test_one_damaged_value_does_not_change_the_unit():
         assert motors.unit == unit and (~motors.valid).sum() == 1
 
 
-def test_a_uavcan_flight_is_judged():
+def test_a_uavcan_flight_is_assessed():
     path = FLIGHTS / "wild" / "uavcan-1.ulg.xz"
     if not path.is_file():
         pytest.skip("this flight is missing")
@@ -409,7 +409,7 @@ def test_a_message_of_as_many_fields_as_are_allowed_is_read_and_one_more_is_dama
         check(3, (most - 1) // 3 + 1)
 
 
-def test_progress_of_reading_is_told():
+def test_progress_of_reading_is_reported():
     seen = []
     file = ulog._File(bytes(300_000), seen.append)
     while file.read(1000):
@@ -444,8 +444,8 @@ def reported(**tables):
 
 def test_flags_count_where_they_rise_in_flight():
     flags = {"manual_control_signal_lost": [1, 1, 0, 1], "local_position_invalid": [1, 1, 1, 1], "fd_motor_failure": [0, 0, 1, 1]}
-    told = [(m.time, m.text) for m in reported(failsafe_flags=flags)]
-    assert sorted(told) == [(2.0, "failure detector: motor"), (3.0, "manual control lost")]
+    said = [(m.time, m.text) for m in reported(failsafe_flags=flags)]
+    assert sorted(said) == [(2.0, "failure detector: motor"), (3.0, "manual control lost")]
 
 
 def test_the_failure_detector_speaks_once_though_two_topics_hold_it():
@@ -459,13 +459,13 @@ def test_batteries_failsafes_and_who_disarmed():
     battery = {"warning": [0, 1, 2, 0], "voltage_v": [16.0] * 4, "current_a": [9.0] * 4}
     assert [m.text for m in reported(battery_status=battery)] == ["battery warning: low", "battery warning: critical"]
     status = {"failsafe": [0, 1, 1, 0], "arming_state": [2, 2, 1, 1], "latest_disarming_reason": [0, 0, 9, 9]}
-    told = [(m.time, m.text) for m in reported(vehicle_status=status) if m.kind == "event"]
-    assert told == [(1.0, "failsafe begins"), (2.0, "disarmed: kill switch")]
+    said = [(m.time, m.text) for m in reported(vehicle_status=status) if m.kind == "event"]
+    assert said == [(1.0, "failsafe begins"), (2.0, "disarmed: kill switch")]
     landed = {**status, "latest_disarming_reason": [0, 0, 7, 7]}
     assert not [m for m in reported(vehicle_status=landed) if m.text.startswith("disarmed:")]
 
 
-def test_events_are_told_in_the_words_that_the_log_carries():
+def test_events_are_reported_in_the_words_that_the_log_carries():
     flight = logs.read(FLIGHTS / "wild" / "healthy-real-4.ulg.xz")
     assert any(m.text == "Failsafe warning:" and abs(m.time - 68.15) < 0.1 for m in flight.messages)
     without = logs.read(FLIGHTS / "open" / "px4_q28_esc_m3_dead.ulg.xz")

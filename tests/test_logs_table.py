@@ -117,8 +117,8 @@ def test_what_parquet_unfolds_to_is_limited(monkeypatch):
         logs_table.read(parquet(table | {"motor_4": ["0"] * 3}), "x.parquet")
     data = parquet({"time_s": np.zeros(500_000)}, compression="zstd", use_dictionary=False)
     real = ParquetFile(io.BytesIO(data)).metadata.row_group(0).column(0)
-    told = {name: getattr(real, name) for name in ("data_page_offset", "has_dictionary_page", "total_compressed_size")}
-    column = SimpleNamespace(num_values=3, **told)
+    reported = {name: getattr(real, name) for name in ("data_page_offset", "has_dictionary_page", "total_compressed_size")}
+    column = SimpleNamespace(num_values=3, **reported)
     lying = SimpleNamespace(num_row_groups=1, num_columns=1, row_group=lambda _: SimpleNamespace(column=lambda _: column))
     assert parquet_pages.unfolded(data, lying, 1 << 30) > 4_000_000
     rng = np.random.default_rng(2)

@@ -140,10 +140,10 @@ def test_items_are_taken_when_there_is_room(tmp_path):
 
 
 def test_order_is_kept_where_it_is_asked_for(tmp_path):
-    told = []
+    reported = []
     items = [(tmp_path, "slow" if k == 0 else "fine", k) for k in range(8)]
-    assert list(many.ordered(number, items, jobs=2, progress=told.append)) == list(range(8))
-    assert told == list(range(1, 9))
+    assert list(many.ordered(number, items, jobs=2, progress=reported.append)) == list(range(8))
+    assert reported == list(range(1, 9))
     with pytest.raises(LogError, match="1: no log"):
         list(many.ordered(number, [(tmp_path, "fine", 0), (tmp_path, "error", 1)], jobs=1))
 
@@ -167,7 +167,7 @@ def test_a_process_that_dies_or_hangs_over_a_question_is_gone(function, item, sa
     assert worker.ready and not worker.alive
 
 
-def test_processes_that_do_not_start_are_told(monkeypatch, tmp_path):
+def test_processes_that_do_not_start_are_reported(monkeypatch, tmp_path):
     monkeypatch.setattr(processes, "_serve", os._exit)  # called with a pipe, it ends at once
     with pytest.raises(WorkerError, match=r"while starting.*__main__"):
         list(many.run(number, [(tmp_path, "fine", k) for k in range(3)], jobs=2))
@@ -292,7 +292,7 @@ def test_an_item_that_kills_every_worker_is_given_up(monkeypatch):
     assert "need the same Python" in str(cluster._error(ImportError("no module")))
 
 
-def test_a_scheduler_that_does_not_answer_is_told(monkeypatch):
+def test_a_scheduler_that_does_not_answer_is_reported(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(cluster, "ANSWER_S", 0.2)
     with pytest.raises(ConfigError, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:1"):

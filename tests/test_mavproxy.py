@@ -204,13 +204,13 @@ def fly(flight, *maps, more=()):
             answer()
             time.sleep(0.002)
 
-    def judged():
+    def assessed():
         answer()
         rates = [m for m in pilot.asked if m.get_type() == "COMMAND_LONG" and m.command == 511]
         acknowledged = len(rates) > 1 or not pilot.asked  # the second rate is requested after the answer to the first
         return acknowledged and any("rotor 3 lost" in line for line, _ in mpstate.console.lines)
 
-    turns(module, judged)
+    turns(module, assessed)
     return module, mpstate, master
 
 
@@ -258,7 +258,7 @@ def test_nothing_is_sent_when_it_only_listens(flight):
 
 
 def test_no_exception_reaches_mavproxy_and_its_loop_never_waits(flight, monkeypatch):
-    """A console, a map and a master that fail, messages that are none, and judging that fails or hangs."""
+    """A console, a map and a master that fail, messages that are none, and assessing that fails or hangs."""
 
     class Broken:
         def __getattr__(self, name):
@@ -325,7 +325,7 @@ def test_a_vehicle_file_that_is_none_is_said(tmp_path):
     module.unload()
 
 
-def test_two_links_to_one_vehicle_are_told_apart(flight):
+def test_two_links_to_one_vehicle_are_reported_apart(flight):
     """Each link numbers its frames for itself: as one they would look like two vehicles."""
     other = Master(1)
     pilot = Autopilot(parameters(flight))

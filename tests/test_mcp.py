@@ -115,8 +115,8 @@ def folder(tmp_path_factory) -> Path:
             file.truncate(600 << 20)
     flight = logs.read(SAMPLES / HOVER)
     evil = [Message(float(k), "text", f"thrust error {text}") for k, text in enumerate(TEXTS, 1)]
-    told = sorted([*flight.messages, *evil], key=lambda m: m.time)
-    hostile = replace(flight, messages=tuple(told), name="x")
+    reported = sorted([*flight.messages, *evil], key=lambda m: m.time)
+    hostile = replace(flight, messages=tuple(reported), name="x")
     object.__setattr__(hostile, "firmware", f"ArduCopter V4.5.7 {TEXTS[0]}")
     write_dataflash(hostile, here / "log.bin")
     for k, name in enumerate(NAMES):
@@ -343,7 +343,7 @@ def test_without_the_extra_it_says_what_to_install(tmp_path):
     assert done.returncode == 2 and "pip install mcp" in done.stderr and done.stderr.count("\n") == 1
 
 
-def test_it_ends_when_it_is_told_to():
+def test_it_ends_when_it_is_reported_to():
     server = subprocess.Popen(
         [*COMMAND, str(SAMPLES)], env=ENVIRONMENT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )

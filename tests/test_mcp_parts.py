@@ -33,7 +33,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def asked(tmp_path):
     """A desk whose store holds two aircraft, one of them called by an order."""
     url = str(tmp_path / "fleet.db")
-    told = hexa_diagnosis().to_dict()
+    reported = hexa_diagnosis().to_dict()
     with Store(url) as store:
         for k, name in enumerate(("calm", f"{WORD} {ORDERS[0]}")):
             for flight in range(3):
@@ -42,7 +42,7 @@ def asked(tmp_path):
                         hash=f"{k}{flight}" * 32, path=f"/secret/{name}", name=f"{name} {flight}.bin", size=1, identity=f"id {k}",
                         called=name,
                         utc=f"2026-05-0{flight + 1}T10:00:00.000Z", airborne_s=600.0, frame="ardupilot-hexa-x", rotors=6,
-                        verdict="fault", headline=told["headline"], diagnosis=told,
+                        verdict="fault", headline=reported["headline"], diagnosis=reported,
                     )
                 )  # fmt: skip
         rotor = {"rotor": 3, "status": "damaged", "loss": 0.12, "interval": [0.1, 0.14], "prognosis": None}
@@ -133,7 +133,7 @@ def test_still_pictures(fault, tmp_path):
 
 def test_a_log_that_takes_too_long_is_given_up(monkeypatch):
     here = Desk([SAMPLES], "", 1 << 30, 0.3, 500)
-    here._judging = Workers(misbehaving.endless, 0.3, 500)
+    here._assessing = Workers(misbehaving.endless, 0.3, 500)
     try:
         with pytest.raises(ConfigError, match=r"^The diagnosis exceeded 0.3 s"):
             here.ask("info", "quadx_healthy_hover.bin.xz")

@@ -56,11 +56,11 @@ def counts(answer, scenario) -> dict:
 def test_a_campaign_counts_what_diagnose_says_of_the_written_log(flights):
     plan = campaign.read(PLANS / "default.toml")
     alarms = 0
-    for flown, path, told in flights:
+    for flown, path, reported in flights:
         (row,) = [r for r in batch.rows(plan, [flown], 1) if r["method"] == "default"]
-        wanted = counts(told, flown.scenario)
+        wanted = counts(reported, flown.scenario)
         assert {name: row[name] for name in wanted} == pytest.approx(wanted, abs=1e-3), path.name
-        alarms += len(counting.alarms(told.events))
+        alarms += len(counting.alarms(reported.events))
     assert alarms > 5
 
 
@@ -80,11 +80,11 @@ def test_injections_count_what_diagnose_says_of_the_flight(flights):
 
 
 def test_comparisons_count_what_diagnose_says_of_the_written_log(flights):
-    for flown, path, told in flights:
+    for flown, path, reported in flights:
         faults = tuple((f["rotor"], f["onset_s"], f.get("strength") or 1.0) for f in flown.scenario.faults)
         scene = compare_flights._scene("one", logs.read(path), flown.vehicle, faults)
         assert scene is not None
-        trial, wanted = compare._trial("default", scene), counts(told, flown.scenario)
+        trial, wanted = compare._trial("default", scene), counts(reported, flown.scenario)
         assert trial["false_alarms"] == wanted["false_alarms"] + wanted["wrong"], path.name
         for name in ("right", "named", "delay_s"):
             if wanted.get("detected"):

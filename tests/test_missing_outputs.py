@@ -10,7 +10,7 @@ import pytest
 from rotorwatch import airframes, diagnose
 from rotorwatch.engine.driver import observe
 from rotorwatch.engine.motion.air_spans import GAP_S, airborne, gaps
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, READY_S
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN, READY_S
 from rotorwatch.live.session import Session
 from rotorwatch_lab.simulation import scenario, simulate
 
@@ -48,7 +48,7 @@ def test_what_is_not_seen_to_the_end_is_not_healthy(rotors):
         assert since == pytest.approx(30.0, abs=0.2)
 
 
-def test_what_was_judged_before_stays_judged():
+def test_what_was_assessed_before_stays_assessed():
     whole, cut = (diagnose(f) for f in (flown(2, 0.4), without(flown(2, 0.4), (3,), 30.0)))
     assert whole.verdict == cut.verdict == "fault"
     assert whole.events[0].rotors == cut.events[0].rotors == (2,)
@@ -57,7 +57,7 @@ def test_what_was_judged_before_stays_judged():
 
 
 @pytest.mark.parametrize("missing_s", [GAP_S - 1.0, GAP_S + 1.0])
-def test_commands_that_come_back_are_judged_again(missing_s):
+def test_commands_that_come_back_are_assessed_again(missing_s):
     flight = without(flown(), (3,), 25.0, 25.0 + missing_s)
     answer = diagnose(flight)
     assert answer.verdict == "healthy"
@@ -65,16 +65,16 @@ def test_commands_that_come_back_are_judged_again(missing_s):
 
 
 @pytest.mark.parametrize("start_s", [0.0, 4.5])
-def test_a_flight_is_learned_before_it_is_judged_whenever_its_commands_begin(start_s):
+def test_a_flight_is_learned_before_it_is_assessed_whenever_its_commands_begin(start_s):
     """Missing since before lift-off or shortly after it, for longer than the blind time."""
     flight, vehicle = without(flown(), (3,), start_s, 25.0), airframes.identify(flown())
     whole, table = (observe(f, vehicle, airborne(f), READY_S) for f in (flown(), flight))
     assert table is not None and whole is not None and table.seen is not None
     before = (table.mode == LEARN) & table.seen
     assert before.sum() * table.dt >= READY_S / 3.0
-    np.testing.assert_allclose(table.hover[table.mode == JUDGE], np.median(whole.hover), rtol=0.3)
+    np.testing.assert_allclose(table.hover[table.mode == ASSESS], np.median(whole.hover), rtol=0.3)
     answer = diagnose(flight)
-    assert not answer.events and answer.verdict == "inconclusive"  # most of the flight could not be judged
+    assert not answer.events and answer.verdict == "inconclusive"  # most of the flight could not be assessed
     assert "s assessed of" in answer.headline
 
 

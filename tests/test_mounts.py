@@ -44,7 +44,7 @@ def test_beside_a_fault_what_its_rotor_does_to_yaw_is_no_mount():
 
 def test_a_mount_that_turned_is_said_and_leaves_the_flight_healthy():
     (event,) = claimed(rise=0.0, drift=(0.0, 0.0, 0.8))
-    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=80.0))
+    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), assessed_s=80.0))
     assert end.verdict == "healthy" and "mount or an arm" in end.headline and "yaws" in end.headline and len(end.headline) <= 200
     assert "0.8 times" in end.events[0].reason
     assert any("mount" in line for line in end.advice)

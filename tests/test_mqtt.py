@@ -115,23 +115,23 @@ def test_alerts_and_states_come_under_the_vehicles_topic_and_states_stay(broker)
 
 @broker_needed
 def test_alerts_wait_for_a_broker_that_is_not_there_yet(broker):
-    there, told = broker(), []
-    outlet = mqtt.Mqtt(f"mqtt://127.0.0.1:{there.port}", told.append)
+    there, reported = broker(), []
+    outlet = mqtt.Mqtt(f"mqtt://127.0.0.1:{there.port}", reported.append)
     for number in range(20):
         outlet.take({**ALERT, "number": number})
 
     def said():
         outlet.step([])
-        return bool(told)
+        return bool(reported)
 
     until(said)
-    assert "cannot be reached" in told[0] and str(there.port) in told[0]
+    assert "cannot be reached" in reported[0] and str(there.port) in reported[0]
     there.start()
     there.subscribe()
     until(lambda: len(there.of("rotorwatch/udp:14550-1/alert")) == 20)
     outlet.leave()
     assert [a["number"] for a in there.of("rotorwatch/udp:14550-1/alert")] == [*range(20)]
-    assert len(told) == 2 and "connected again" in told[1]
+    assert len(reported) == 2 and "connected again" in reported[1]
 
 
 @broker_needed
@@ -159,18 +159,18 @@ def test_a_password_opens_a_broker_and_a_wrong_one_is_said(broker, tmp_path):
     right.take(ALERT)
     until(lambda: there.of("rotorwatch/udp:14550-1/alert"))
     right.leave()
-    told = []
-    wrong = mqtt.Mqtt(f"mqtt://me:secret@127.0.0.1:{there.port}", told.append)
+    reported = []
+    wrong = mqtt.Mqtt(f"mqtt://me:secret@127.0.0.1:{there.port}", reported.append)
     wrong.take(ALERT)
 
     def said():
         wrong.step([])
-        return bool(told)
+        return bool(reported)
 
     until(said)
     wrong.leave()
-    assert "refuses the connection" in told[0] and "secret" not in "".join(told)
-    assert "last alerts could not be sent" in told[-1]
+    assert "refuses the connection" in reported[0] and "secret" not in "".join(reported)
+    assert "last alerts could not be sent" in reported[-1]
 
 
 @pytest.mark.parametrize("url", ["broker", "http://broker", "mqtt://", "mqtt://host:port", "mqtt://[::1"])

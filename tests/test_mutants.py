@@ -1,4 +1,4 @@
-"""The campaign of planted errors: which tests judge a file, and that its table is of errors as they are drawn."""
+"""The campaign of planted errors: which tests assess a file, and that its table is of errors as they are drawn."""
 
 import csv
 import subprocess

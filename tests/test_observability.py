@@ -111,8 +111,8 @@ def test_any_plant_will_do():
 
 
 def test_json_and_figure(hexa, tmp_path):
-    told = json.loads(hexa.to_json())
-    assert told["cases"][0]["rank"] == 7 and told["alike"][0]["one"] == [1, 4]
+    reported = json.loads(hexa.to_json())
+    assert reported["cases"][0]["rank"] == 7 and reported["alike"][0]["one"] == [1, 4]
     hexa.figure(tmp_path / "hexa.svg")
     assert (tmp_path / "hexa.svg").stat().st_size > 5_000
 

@@ -223,10 +223,10 @@ def test_ablation_counts_what_changes():
 def test_reliability_is_read_from_both_statements():
     two, weaker = (NAMES[0], NAMES[2]), {name: odds.POWER * w for name, w in odds.WEIGHTS.items()}
     honest = reliability.bins(drawn(3000, weaker, odds.POWER * odds.TEMPER, names=two))  # as `stated` has it
-    judged = [b for b in honest if b.judged and b.statement == "rotor"]
-    assert len(judged) > 5 and all(abs(b.off) < 0.1 for b in judged)
+    assessed = [b for b in honest if b.assessed and b.statement == "rotor"]
+    assert len(assessed) > 5 and all(abs(b.off) < 0.1 for b in assessed)
     boasts = reliability.bins(drawn(3000, weaker, 0.1 * odds.POWER * odds.TEMPER, names=two))
-    assert max(abs(b.off) for b in boasts if b.judged) > 0.2
+    assert max(abs(b.off) for b in boasts if b.assessed) > 0.2
     assert "rotor at fault" in reliability.markdown(honest) and reliability.to_dict(honest)[0]["right"]["n"] > 0
 
 
@@ -269,4 +269,4 @@ def test_the_commands_refuse_in_a_sentence():
     own = runner.invoke(commands.fit_odds, ["plans/open.toml", "--seed", "52"])
     assert isinstance(own.exception, ConfigError) and "another --seed" in str(own.exception)
     ticks = runner.invoke(commands.reliability, ["plans/default.toml", "--flights", "1"])
-    assert isinstance(ticks.exception, ConfigError) and "judge = 'log'" in str(ticks.exception)
+    assert isinstance(ticks.exception, ConfigError) and "assess = 'log'" in str(ticks.exception)

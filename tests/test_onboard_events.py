@@ -12,7 +12,7 @@ from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.plant_rows import lower_rotors
 from rotorwatch.engine.estimator.posterior import PLACES
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, LEARN
 
 # A row of numbers per event: onset, detected, end, probability, rotors, loss, lower and upper (4 each), alternatives (30).
 ROW, MOST = 5 + 12 + 31, 40
@@ -20,12 +20,12 @@ DRIVER = """
 #include "rw_front.h"
 
 unsigned long bytes(void);
-int told(int count, const double *effectiveness, int coaxial, const double *rows, double *out);
+int reported(int count, const double *effectiveness, int coaxial, const double *rows, double *out);
 
 unsigned long bytes(void) { return sizeof(rw_losses); }
 
 /* rows [count][width]: see columns() of the test; out [40][48]. */
-int told(int count, const double *effectiveness, int coaxial, const double *rows, double *out)
+int reported(int count, const double *effectiveness, int coaxial, const double *rows, double *out)
 {
     static rw_losses s;
     static rw_event list[RW_RECORDS];
@@ -97,7 +97,7 @@ def in_c(code, out, ticks, B, count):
     """Events of the first `count` ticks, as rows of numbers."""
     rows, answer = columns(out, ticks)[:count], np.zeros((MOST, ROW))
     effectiveness = np.ascontiguousarray(B, float)
-    found = code.told(count, doubles(effectiveness), int(lower_rotors(B) is not None), doubles(rows), doubles(answer))
+    found = code.reported(count, doubles(effectiveness), int(lower_rotors(B) is not None), doubles(rows), doubles(answer))
     return answer[:found]
 
 
@@ -150,16 +150,16 @@ def flight(B, seed, count=420, dt=0.05):
             ticks.restart[k], hop = True, k
             active, share, began = np.zeros((PLACES, n), bool), np.eye(PLACES)[0].copy(), np.full(PLACES, k)
         if k >= starts[0]:
-            ticks.mode[k] = JUDGE if k - hop > 12 and rng.random() > 0.04 else LEARN
+            ticks.mode[k] = ASSESS if k - hop > 12 and rng.random() > 0.04 else LEARN
             gap = [s - k for s in starts if s > k]
             if gap and gap[0] < 8:
                 ticks.mode[k] = GROUND
-        judged = ticks.mode[k] == JUDGE
-        if judged and rng.random() < 0.1 and active.any():  # another explanation leads
+        assessed = ticks.mode[k] == ASSESS
+        if assessed and rng.random() < 0.1 and active.any():  # another explanation leads
             b = rng.integers(1, PLACES)
             for column in (active, share, began):
                 column[[0, b]] = column[[b, 0]]
-        if judged and rng.random() < 0.02:
+        if assessed and rng.random() < 0.02:
             parent, sets = active[0].copy(), []
             for _ in range(PLACES):
                 new = parent.copy()
@@ -220,7 +220,7 @@ def test_of_more_losses_than_there_is_room_for_the_last_are_kept(built):
     B, count = FRAMES["quad-x"], 900
     out, ticks = flight(B, 3, count)
     out.announced[:], out.active[:] = False, False
-    ticks.mode[:], ticks.restart[:] = JUDGE, np.arange(count) == 0
+    ticks.mode[:], ticks.restart[:] = ASSESS, np.arange(count) == 0
     for k in range(20, count, 10):
         out.announced[k] = True
         out.onsets[k:] = 3 + np.arange(count - k)[:, None]

@@ -21,7 +21,7 @@ from rotorwatch.engine.motion import tick_table
 from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.errors import RotorwatchError
 from rotorwatch.logs import plausible
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 
 FLIGHTS = Path(__file__).parents[2] / "shared" / "flights"
 FULL = bool(os.environ.get("ROTORWATCH_FULL_LAW"))
@@ -36,7 +36,7 @@ LONG = {"gap_hides_loss_1.bin.xz": WAITS, "gap_hides_loss_2.bin.xz": WAITS}
 FED = {
     "ap_quad_m3_dropouts.bin.xz": "a rotor that drops out again and again is announced at one rate and not at the other",
     "ap_quad_m4_slow_x4.bin.xz": "a slow motor, which no hypothesis is of: its second announcement comes at one rate alone",
-    "px4_q12_m2_15_square_wind.ulg.xz": "15 % in wind, which is near what can be told: announced at the rate of a board",
+    "px4_q12_m2_15_square_wind.ulg.xz": "15 % in wind, which is near what can be reported: announced at the rate of a board",
     "px4_q16_m1_30_aggr_high.ulg.xz": "30 % in hard manoeuvres: one event instead of seven, each of which is said to be over",
 }
 BURST = 1  # no call takes more of the ticks that have waited, at a landing neither
@@ -60,12 +60,12 @@ def mask(rotors):
     return sum(1 << (r - 1) for r in rotors)
 
 
-def same(told, what, folder, single):
+def same(reported, what, folder, single):
     """Events of the library are those of Python, but for what is seen of the blind time after it. Returns how many."""
     found, verdict, (*_, burst) = events_in_c(folder, what, single, COMPILER or "cc")
     assert burst <= BURST
     step = 0.051 if single else 1e-9
-    expected = [e for e in told.events if e.kind in KINDS and (e.extra.get("live", True) or "grew_until_s" in e.extra)]
+    expected = [e for e in reported.events if e.kind in KINDS and (e.extra.get("live", True) or "grew_until_s" in e.extra)]
     assert len(found) == len(expected)
     for row, event in zip(found, expected, strict=True):
         assert (row[0], row[4]) == (KINDS[event.kind], mask(event.rotors))
@@ -75,8 +75,8 @@ def same(told, what, folder, single):
         if event.kind == "loss_of_effectiveness":
             numbers = (event.loss[0], *event.interval[0])
             np.testing.assert_allclose(row[5:8], numbers, rtol=0, atol=0.02 if single else 1e-6)
-    if told.verdict in VERDICTS and (expected or told.verdict == "healthy"):
-        assert verdict == VERDICTS[told.verdict]
+    if reported.verdict in VERDICTS and (expected or reported.verdict == "healthy"):
+        assert verdict == VERDICTS[reported.verdict]
     return len(found)
 
 
@@ -94,15 +94,15 @@ def with_broken_samples(table):
 @pytest.mark.parametrize("name", ["quadx_healthy_hover.bin.xz", "hexax_m3_mul0.80_square_wind.bin.xz"])
 def test_samples_have_the_same_events_on_board(name, tmp_path):
     flight = logs.read(SAMPLES / name)
-    told, what = diagnose(flight), flown(flight)
+    reported, what = diagnose(flight), flown(flight)
     what = replace(what, table=with_broken_samples(what.table))
-    assert same(told, what, tmp_path / "double", False) == ("hexa" in name)
+    assert same(reported, what, tmp_path / "double", False) == ("hexa" in name)
     unseen = what.table.copy()
     unseen[(unseen[:, 0] == OUTPUTS) & (unseen[:, 1] > 0.7 * what.until), 2] -= 1 << 2
     found, verdict, _ = events_in_c(tmp_path / "double", replace(what, table=unseen))
     assert verdict == (VERDICTS["fault"] if len(found) else 0), "a rotor that is not seen to the end is not healthy"
-    if FULL or told.events:
-        assert same(told, what, tmp_path / "single", True) == len(told.events)
+    if FULL or reported.events:
+        assert same(reported, what, tmp_path / "single", True) == len(reported.events)
 
 
 @needs_compiler
@@ -119,16 +119,16 @@ def test_every_log_has_the_same_events_on_board(path, single, tmp_path):
     assert len(what.table)
     if what.dt > tick_table.SHORTEST_S / 2.0:
         pytest.skip("too slow for on board: `export-c` refuses it")
-    told = diagnose(flight)
-    if told.doubts:
-        pytest.skip(f"only the whole log shows that it is no flight's: {told.doubts[0]}")
-    if any(event.kind == "loss_of_control" for event in told.events) or told.flight["hops"][-1][1] < airborne(flight)[-1][1] - 0.01:
-        pytest.skip("loss of control and impacts are judged after the flight")
+    reported = diagnose(flight)
+    if reported.doubts:
+        pytest.skip(f"only the whole log shows that it is no flight's: {reported.doubts[0]}")
+    if any(event.kind == "loss_of_control" for event in reported.events) or reported.flight["hops"][-1][1] < airborne(flight)[-1][1] - 0.01:
+        pytest.skip("loss of control and impacts are assessed after the flight")
     if why := (ROUGH if single else LONG).get(path.name):
         with pytest.raises(AssertionError, match=r"rtol=0, atol=(0\.02|1e-06)"):  # once it passes it goes from the list
-            same(told, what, tmp_path, single)
+            same(reported, what, tmp_path, single)
         pytest.xfail(why)
-    same(told, what, tmp_path, single)
+    same(reported, what, tmp_path, single)
 
 
 def accused(rows):
@@ -145,11 +145,11 @@ def test_fed_at_the_rates_of_a_board_it_accuses_the_same_rotors(path, tmp_path):
         what = on_board(flight, 100.0)
     except (RotorwatchError, IndexError, KeyError) as why:
         pytest.skip(f"no flight that can be fed: {why}")
-    told = diagnose(flight)
-    if any(event.kind == "loss_of_control" for event in told.events):
-        pytest.skip("loss of control is judged after the flight")
+    reported = diagnose(flight)
+    if any(event.kind == "loss_of_control" for event in reported.events):
+        pytest.skip("loss of control is assessed after the flight")
     found = accused(events_in_c(tmp_path, what, True, COMPILER or "cc")[0])
-    events = [e for e in told.events if e.kind in KINDS and (e.extra.get("live", True) or "grew_until_s" in e.extra)]
+    events = [e for e in reported.events if e.kind in KINDS and (e.extra.get("live", True) or "grew_until_s" in e.extra)]
     wanted = [
         (KINDS[e.kind], mask(e.rotors), bool(e.alternatives), e.onset_s, e.end_s is not None) for e in events if KINDS[e.kind] in (0, 1)
     ]

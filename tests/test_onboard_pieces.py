@@ -23,10 +23,11 @@ static int looked;
 int looks(void);
 /* How often the trim has been looked at in flight. */
 int looks(void) { return looked; }
-int pieces(int rows, const double *table, double until, const int *gaps, int many, double *told, int most);
-/* Feed the rows, with gaps[k % many] pieces of work after each, less where there are none left; gaps NULL: as they are fed. What is told,
+int pieces(int rows, const double *table, double until, const int *gaps, int many, double *reported, int most);
+/* Feed the rows, with gaps[k % many] pieces of work after each, less where there are none left; gaps NULL: as they are fed. What is
+reported,
    a row each: time, severity, rotors and loss of the first event. Returns how many texts. */
-int pieces(int rows, const double *table, double until, const int *gaps, int many, double *told, int most)
+int pieces(int rows, const double *table, double until, const int *gaps, int many, double *reported, int most)
 {
     char text[RW_TEXT];
     int said = 0, turn = 0;
@@ -43,8 +44,8 @@ int pieces(int rows, const double *table, double until, const int *gaps, int man
             rw_diagnoser_poll(&d, notifications);
             const int severity = rw_diagnoser_text(&d, &texts, row[1], RW_INFO, text);
             if (severity > 0 && said < most) {
-                told[4 * said] = row[1]; told[4 * said + 1] = severity;
-                told[4 * said + 2] = texts.told[0].event.rotors; told[4 * said + 3] = (double)texts.told[0].event.loss[0];
+                reported[4 * said] = row[1]; reported[4 * said + 1] = severity;
+                reported[4 * said + 2] = texts.reported[0].event.rotors; reported[4 * said + 3] = (double)texts.reported[0].event.loss[0];
                 said++;
             }
         }
@@ -67,24 +68,24 @@ unsigned hash(void)
 }
 """
 )
-MOST, JUDGED_S = 40, 80.0  # texts; of the sample's flight, at least
+MOST, ASSESSED_S = 40, 80.0  # texts; of the sample's flight, at least
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A function: gaps or None -> (hash of all that is remembered, what is told, how often the trim was looked at in flight)."""
+    """A function: gaps or None -> (hash of all that is remembered, what is reported, how often the trim was looked at in flight)."""
     what = flown(logs.read(SAMPLES / "hexax_m3_mul0.80_square_wind.bin.xz"))
     library = compiled(tmp_path_factory.mktemp("pieces"), what, DRIVER, single=True)
     table = np.ascontiguousarray(what.table)
     pointer = ctypes.POINTER(ctypes.c_double)
 
     def run(gaps):
-        told = np.zeros((MOST, 4))
+        reported = np.zeros((MOST, 4))
         spread = (ctypes.c_int * len(gaps))(*gaps) if gaps else None
         arguments = len(table), table.ctypes.data_as(pointer), ctypes.c_double(what.until), spread, len(gaps or ())
-        count = library.pieces(*arguments, told.ctypes.data_as(pointer), MOST)
+        count = library.pieces(*arguments, reported.ctypes.data_as(pointer), MOST)
         assert count >= 0, "no sample was lost"
-        return library.hash(), told[:count], library.looks()
+        return library.hash(), reported[:count], library.looks()
 
     return run
 
@@ -97,17 +98,17 @@ def at_once(run):
 @settings(max_examples=trials(5), deadline=None)
 @given(st.lists(st.sampled_from([0, 1, 3, 20, 400]), min_size=1, max_size=12))
 def test_the_results_are_the_same_to_the_bit_however_the_work_is_spread(run, at_once, gaps):
-    same, told, looks = run(gaps)
+    same, reported, looks = run(gaps)
     assert same == at_once[0] and looks == at_once[2]
-    np.testing.assert_array_equal(told, at_once[1])
+    np.testing.assert_array_equal(reported, at_once[1])
 
 
 def test_the_trim_is_looked_at_while_the_vehicle_flies(at_once):
     """Not only at its end: a pilot hears of a slow loss while it grows."""
-    assert at_once[2] >= JUDGED_S // LOOK_S >= 2
+    assert at_once[2] >= ASSESSED_S // LOOK_S >= 2
 
 
-def test_a_pilot_is_told_once_and_seldom(at_once):
-    told = at_once[1]
-    assert len(told) and told[0, 2] == 1 << 2, "the rotor that lost thrust"
-    assert (np.diff(told[:, 0]) >= 5.0).all()
+def test_a_pilot_is_reported_once_and_seldom(at_once):
+    reported = at_once[1]
+    assert len(reported) and reported[0, 2] == 1 << 2, "the rotor that lost thrust"
+    assert (np.diff(reported[:, 0]) >= 5.0).all()

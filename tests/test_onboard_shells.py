@@ -120,7 +120,7 @@ int tried(const AP_MotorsMulticopter &motors, Quaternion &q)
 @pytest.mark.parametrize(
     ("prefix", "names"),
     [
-        ("VERDICT_", ("NOT_JUDGED", "HEALTHY", "FAULT", "AMBIGUOUS")),
+        ("VERDICT_", ("NOT_ASSESSED", "HEALTHY", "FAULT", "AMBIGUOUS")),
         ("KIND_", ("LOSS", "OUTPUT_OVERRIDE", "CONTACT", "TURNED_MOUNT")),
         ("NEWS_", ("ANNOUNCED", "CHANGED", "WITHDRAWN")),
     ],

@@ -10,17 +10,17 @@ import pytest
 from onboard_c import doubles, library
 from rotorwatch.answer import drift
 from rotorwatch.engine.engine import Engine
-from rotorwatch.engine.events.events import AMBIGUOUS, HEALTHY, NOT_JUDGED
+from rotorwatch.engine.events.events import AMBIGUOUS, HEALTHY, NOT_ASSESSED
 from test_slow import DT, QUAD, flight
 
 DRIVER = """
 #include "rw_names.h"
 #include "rw_trim.h"
 #include <string.h>
-int told(int count, const double *effectiveness, double expo_sd, double dt, const double *rows, double *out, char *text, int *looks);
+int reported(int count, const double *effectiveness, double expo_sd, double dt, const double *rows, double *out, char *text, int *looks);
 
 /* rows [count][4 + RW_ROTORS]: time, lacking [3], thrust; out: of each event kind, rotors, onset, detected, loss, lower, upper, size. */
-int told(int count, const double *effectiveness, double expo_sd, double dt, const double *rows, double *out, char *text, int *looks)
+int reported(int count, const double *effectiveness, double expo_sd, double dt, const double *rows, double *out, char *text, int *looks)
 {
     static rw_trim t;
     static rw_event list[RW_EVENTS];
@@ -33,7 +33,7 @@ int told(int count, const double *effectiveness, double expo_sd, double dt, cons
         rw_real lacking[3], thrust[RW_ROTORS];
         for (int a = 0; a < 3; a++) lacking[a] = (rw_real)rows[1 + a];
         for (int i = 0; i < RW_ROTORS; i++) thrust[i] = (rw_real)rows[4 + i];
-        rw_trim_tick(&t, &v, dt, rows[0], RW_JUDGE, true, lacking, thrust);
+        rw_trim_tick(&t, &v, dt, rows[0], RW_ASSESS, true, lacking, thrust);
         rw_trim_work(&t, &v, 2);
     }
     *looks = t.looks;
@@ -71,7 +71,7 @@ def code(tmp_path_factory):
     ],
     ids=str,
 )
-def test_the_same_is_told_on_board(code, how, says):
+def test_the_same_is_reported_on_board(code, how, says):
     B = QUAD
     out, ticks = flight(B, **how)
     state = drift.look(out, ticks, B)
@@ -79,7 +79,7 @@ def test_the_same_is_told_on_board(code, how, says):
     rows = np.ascontiguousarray(np.column_stack([ticks.time, (out.biases + (ticks.thrust * out.theta) @ B.T)[:, :3], ticks.thrust]))
     found, text, looks = np.zeros((4, 8)), ctypes.create_string_buffer(80), ctypes.c_int()
     arguments = doubles(np.ascontiguousarray(B)), ctypes.c_double(ticks.curve[1]), ctypes.c_double(DT), doubles(rows)
-    count = code.told(len(rows), *arguments, doubles(found), text, ctypes.byref(looks))
+    count = code.reported(len(rows), *arguments, doubles(found), text, ctypes.byref(looks))
     assert looks.value == 2, "it looks while the vehicle flies"
     expected = []
     if grown is not None and grown.certain:
@@ -93,12 +93,12 @@ def test_the_same_is_told_on_board(code, how, says):
 
 @pytest.mark.parametrize(
     "count, grew, spun, says",
-    [(0, False, False, HEALTHY), (1, True, False, AMBIGUOUS), (1, False, False, HEALTHY), (0, False, True, NOT_JUDGED)],
+    [(0, False, False, HEALTHY), (1, True, False, AMBIGUOUS), (1, False, False, HEALTHY), (0, False, True, NOT_ASSESSED)],
 )
 def test_a_loss_that_seems_to_grow_and_a_spin_are_not_healthy(count, grew, spun, says):
     """Before anything is certain, on board: no events."""
     engine: Any = SimpleNamespace(
-        events=[], count=0, judged=True, front=SimpleNamespace(air=SimpleNamespace(unseen=0)), spin=SimpleNamespace(spun=spun),
+        events=[], count=0, assessed=True, front=SimpleNamespace(air=SimpleNamespace(unseen=0)), spin=SimpleNamespace(spun=spun),
         trim=SimpleNamespace(growth=SimpleNamespace(count=count, grew=grew)),
     )  # fmt: skip
     assert Engine.verdict(engine) == says

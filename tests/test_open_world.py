@@ -1,4 +1,4 @@
-"""Campaigns judged by logs: plans of kinds, what an answer is worth, the table, and a few flights through the command."""
+"""Campaigns assessed by logs: plans of kinds, what an answer is worth, the table, and a few flights through the command."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ KINDS = [
 
 def table(**changes):
     part = {"duration_s": 40.0, "airframe": {"frame": "quad-x"}, "wind": {"speed_m_s": {"uniform": [0.0, 1.0]}}}
-    return {"seed": 4, "judge": "log", "scenario": part, "kinds": KINDS, **changes}
+    return {"seed": 4, "assess": "log", "scenario": part, "kinds": KINDS, **changes}
 
 
 def test_each_flight_is_of_one_kind_and_a_kind_changes_its_own_fields_only():
@@ -48,9 +48,9 @@ def test_each_flight_is_of_one_kind_and_a_kind_changes_its_own_fields_only():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"judge": "me"}, "judge must be one of ticks, log"),
-        ({"kinds": []}, r'judge = "log" needs \[\[kinds\]\]'),
-        ({"estimators": ["ekf"]}, 'judge = "log" needs'),
+        ({"assess": "me"}, "assess must be one of ticks, log"),
+        ({"kinds": []}, r'assess = "log" needs \[\[kinds\]\]'),
+        ({"estimators": ["ekf"]}, 'assess = "log" needs'),
         ({"healthy": 0.5}, "kinds stand instead of healthy"),
         ({"kinds": [{"name": "a"}, {"name": "a"}]}, r"kinds\[2\].name must be a text that no other kind has"),
         ({"kinds": [{"name": "a", "fault": 3}]}, r"kinds\[1\].scenario and kinds\[1\].fault must be tables"),
@@ -119,7 +119,7 @@ DOUBT = answer(event((3,), alternatives=((4,),)), verdict="ambiguous")
     ],
 )  # fmt: skip
 def test_what_an_answer_is_worth(faults, said, outcome):
-    assert open_score.judged(flown(*faults), said)["outcome"] == outcome
+    assert open_score.assessed(flown(*faults), said)["outcome"] == outcome
 
 
 @pytest.mark.parametrize(
@@ -134,18 +134,18 @@ def test_what_an_answer_is_worth(faults, said, outcome):
     ],
 )
 def test_a_fault_that_is_no_loss_is_named_by_its_kind(fault, said, named):
-    assert open_score.judged(flown(fault), said).get("named") is named
+    assert open_score.assessed(flown(fault), said).get("named") is named
 
 
 def test_size_delay_and_a_fault_that_is_said_to_be_over():
-    found = open_score.judged(flown(LOSS), answer(event((3,), loss=0.3), weak=(3,)))
+    found = open_score.assessed(flown(LOSS), answer(event((3,), loss=0.3), weak=(3,)))
     assert found["error"] == pytest.approx(-0.02) and found["holds"] is True and found["ended"] is False
     assert found["delay_s"] == pytest.approx(0.7)
-    over = open_score.judged(flown(LOSS), answer(event((3,), loss=0.5)))
+    over = open_score.assessed(flown(LOSS), answer(event((3,), loss=0.5)))
     assert over["ended"] is True and over["holds"] is False
     comes_and_goes = LOSS | {"period_s": 4.0}
-    assert "ended" not in open_score.judged(flown(comes_and_goes), answer(event((3,))))
-    assert "error" not in open_score.judged(flown({"kind": "stuck", "rotor": 3}), answer(event((3,))))
+    assert "ended" not in open_score.assessed(flown(comes_and_goes), answer(event((3,))))
+    assert "error" not in open_score.assessed(flown({"kind": "stuck", "rotor": 3}), answer(event((3,))))
 
 
 def test_a_loss_that_still_grows_is_compared_with_what_it_has_come_to():
@@ -199,7 +199,7 @@ def test_the_command_writes_logs_of_both_autopilots_and_diagnoses_them(tmp_path)
     plan = tmp_path / "open.toml"
     plan.write_text(
         """
-        judge = "log"
+        assess = "log"
         [scenario]
         duration_s = 38.0
         autopilot = { choice = ["ardupilot", "px4"] }

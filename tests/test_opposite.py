@@ -102,7 +102,7 @@ def test_it_is_suspected_while_all_this_holds(within, beyond):
     assert out.pair == -1 and since == 0.0
 
 
-def test_a_quads_pairs_are_told_apart_by_their_yaw():
+def test_a_quads_pairs_are_reported_apart_by_their_yaw():
     assert suspect(QUAD, pair=(0, 1))[1] == 0.0
 
 

@@ -45,13 +45,13 @@ def flight(swing=0.2, hz=8.0, axis=0, outputs_hz=10.0, gyro_hz=25.0, spread=0.0,
     return Flight("test", "ArduPilot", signals, END, parameters=GAINS if parameters is None else parameters)
 
 
-def told(until=np.inf, **how):
+def reported(until=np.inf, **how):
     return list(oscillation.claims(flight(**how), QUAD, AIR, until))
 
 
 @pytest.mark.parametrize("hz", [1.5, 3.7, 4.2, 8.0, 12.3, 19.25, 21.4])
 def test_the_frequency_is_found_through_the_aliases_of_both_logs(hz):
-    (event,) = told(hz=hz)
+    (event,) = reported(hz=hz)
     assert event.extra["frequency_hz"] == pytest.approx(hz, abs=0.2)
     assert event.extra["axis"] == "roll" and event.extra["swing"] == pytest.approx(0.2, abs=0.02) and not event.rotors
     assert event.extra["seconds"] == pytest.approx(END - 2 * oscillation.EDGE_S, abs=2.5)
@@ -59,14 +59,14 @@ def test_the_frequency_is_found_through_the_aliases_of_both_logs(hz):
 
 
 @pytest.mark.parametrize("axis", [1, 2])
-def test_the_axis_is_told(axis):
-    (event,) = told(axis=axis)
+def test_the_axis_is_reported(axis):
+    (event,) = reported(axis=axis)
     assert event.extra["axis"] == oscillation.AXES[axis]
 
 
 @pytest.mark.parametrize("rates", [(250.0, 250.0), (400.0, 1000.0), (6.8, 16.7)])
 def test_any_rate_of_the_log(rates):
-    (event,) = told(hz=8.1, outputs_hz=rates[0], gyro_hz=rates[1])
+    (event,) = reported(hz=8.1, outputs_hz=rates[0], gyro_hz=rates[1])
     assert event.extra["frequency_hz"] == pytest.approx(8.1, abs=0.3)
 
 
@@ -79,12 +79,12 @@ def test_any_rate_of_the_log(rates):
 )  # fmt: skip
 def test_what_is_no_oscillation(how):
     """Small, broadband, not felt by the vehicle, short, as slow as flying, asked for, or faster than a rotor can follow."""
-    assert told(**how) == []
+    assert reported(**how) == []
 
 
-def test_only_what_came_before_a_fault_is_told():
-    assert told(until=8.0) == []
-    (event,) = told(until=30.0)
+def test_only_what_came_before_a_fault_is_reported():
+    assert reported(until=8.0) == []
+    (event,) = reported(until=30.0)
     assert event.detected_s <= 30.0 + oscillation.WINDOW_S
 
 
@@ -96,10 +96,10 @@ def test_only_what_came_before_a_fault_is_told():
     ],
 )  # fmt: skip
 def test_the_gain_that_dominates_is_named_with_its_value(parameters, hz, gain):
-    (event,) = told(hz=hz, parameters=GAINS | parameters)
+    (event,) = reported(hz=hz, parameters=GAINS | parameters)
     assert event.extra["gain"] == gain and f"lower {gain} (it is {(GAINS | parameters)[gain]:g})" in event.reason
 
 
 def test_without_known_gains_the_axis_is_named():
-    (event,) = told(parameters={})
+    (event,) = reported(parameters={})
     assert event.extra["gain"] == "the rate gains of roll: D first, then P"

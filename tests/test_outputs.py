@@ -10,7 +10,7 @@ from conftest import hexa_event
 from rotorwatch import airframes
 from rotorwatch.answer import ledger
 from rotorwatch.engine.motion.allocation import drive
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.kinds import AT_LIMIT, CAPPED, EXHAUSTED, GIVEN_UP, HEAVY, STANDS_APART, UNEVEN
 from rotorwatch.flight.vehicle import ThrustCurve
@@ -35,7 +35,7 @@ def flight(vehicle, share, down: Any = 0.0, velocity=True):
     return Flight("test", "ArduPilot", signals, 65.0)
 
 
-def told(vehicle, share, until=np.inf, **how):
+def reported(vehicle, share, until=np.inf, **how):
     flown = flight(vehicle, share, **how)
     none: Any = None  # of ticks that are asked for nothing without a loss
     return outputs.claims(flown, vehicle, none, AIR, until, ())
@@ -57,8 +57,8 @@ def at_limit(seconds, rotors, again_s=100.0):
 
 
 @pytest.mark.parametrize(("seconds", "again_s"), [(8.0, 100.0), (2.0, 10.0)])
-def test_outputs_at_their_limit_are_told_with_how_long(seconds, again_s):
-    (event,) = told(QUAD, at_limit(seconds, (2, 4), again_s))
+def test_outputs_at_their_limit_are_reported_with_how_long(seconds, again_s):
+    (event,) = reported(QUAD, at_limit(seconds, (2, 4), again_s))
     spells = len(np.arange(10.0, AIR[0][1], again_s))
     assert event.kind == AT_LIMIT and event.extra["motors"] == [2, 4] and not event.rotors
     assert event.extra["seconds"] == pytest.approx(spells * seconds, abs=0.3)
@@ -69,29 +69,29 @@ def test_outputs_at_their_limit_are_told_with_how_long(seconds, again_s):
 
 @pytest.mark.parametrize(("seconds", "again_s"), [(1.0, 15.0), (4.5, 100.0)])
 def test_short_bursts_are_no_news(seconds, again_s):
-    assert told(QUAD, at_limit(seconds, (2,), again_s)) == ()
+    assert reported(QUAD, at_limit(seconds, (2,), again_s)) == ()
 
 
 @pytest.mark.parametrize("hover", [0.82, 0.9])
-def test_hover_near_full_thrust_is_told_with_what_is_left(hover):
-    event = next(e for e in told(QUAD, np.full(4, hover)) if e.kind == HEAVY)
+def test_hover_near_full_thrust_is_reported_with_what_is_left(hover):
+    event = next(e for e in reported(QUAD, np.full(4, hover)) if e.kind == HEAVY)
     assert event.extra["hover_share"] == pytest.approx(hover, abs=0.002)
     assert f"{round(100 * (1 - hover))} % is left" in event.reason
     unsure = replace(QUAD, curve=replace(CURVE, known=False))
-    assert any("assumed" in e.reason for e in told(unsure, np.full(4, hover)))
+    assert any("assumed" in e.reason for e in reported(unsure, np.full(4, hover)))
 
 
 def test_a_climb_and_enough_thrust_are_not_heavy():
-    assert not any(e.kind == HEAVY for e in told(QUAD, np.full(4, 0.9), down=-2.0))
-    assert not any(e.kind == HEAVY for e in told(QUAD, np.full(4, 0.9), velocity=False))
-    assert told(QUAD, np.full(4, 0.75)) == ()
+    assert not any(e.kind == HEAVY for e in reported(QUAD, np.full(4, 0.9), down=-2.0))
+    assert not any(e.kind == HEAVY for e in reported(QUAD, np.full(4, 0.9), velocity=False))
+    assert reported(QUAD, np.full(4, 0.75)) == ()
 
 
 @pytest.mark.parametrize(("vehicle", "loss"), [(QUAD, 0.35), (QUAD, -0.4), (HEXA, 0.35)])
 def test_the_one_rotor_that_explains_all_three_axes_stands_apart(vehicle, loss):
     for rotor in range(1, len(vehicle.rotors) + 1):
         share = lacking(vehicle, rotor, loss)
-        (event,) = told(vehicle, share)
+        (event,) = reported(vehicle, share)
         own = share[rotor - 1]
         more = drive(CURVE.expo, own) - drive(CURVE.expo, (1.0 - loss) * own)
         assert event.kind == STANDS_APART and event.extra["motors"][0] == rotor and not event.rotors
@@ -102,12 +102,12 @@ def test_the_one_rotor_that_explains_all_three_axes_stands_apart(vehicle, loss):
 
 def test_a_rotor_that_grew_weak_later_is_not_said_to_stand_apart_since_take_off():
     later = np.where(TIME[:, None] > 30.0, lacking(QUAD, 2, 0.35), 0.5)
-    assert told(QUAD, later) == ()
+    assert reported(QUAD, later) == ()
 
 
 def test_of_two_opposite_rotors_of_a_hexa_the_weak_one_and_the_strong_one_are_named():
-    (weak,) = told(HEXA, lacking(HEXA, 1, 0.35))
-    (strong,) = told(HEXA, lacking(HEXA, 2, -0.6))
+    (weak,) = reported(HEXA, lacking(HEXA, 1, 0.35))
+    (strong,) = reported(HEXA, lacking(HEXA, 2, -0.6))
     assert weak.extra["motors"] == strong.extra["motors"] == [1, 2]
     assert "motor 1" in strong.reason and "or that of motor 2 below it" in strong.reason
 
@@ -116,32 +116,32 @@ def test_of_two_opposite_rotors_of_a_hexa_the_weak_one_and_the_strong_one_are_na
 @pytest.mark.parametrize("yaw", [-0.3, 0.24])
 def test_one_sense_of_rotation_that_works_harder_is_a_yaw_imbalance(vehicle, yaw):
     spin = np.array([r.spin for r in vehicle.rotors])
-    (event,) = told(vehicle, 0.5 + 0.5 * yaw * spin)
+    (event,) = reported(vehicle, 0.5 + 0.5 * yaw * spin)
     assert event.kind == UNEVEN and event.extra["yaw_share"] == pytest.approx(abs(yaw), abs=0.005)
     assert event.extra["harder"] == [k + 1 for k in np.flatnonzero(spin * yaw > 0)]
     ratio = (0.5 + 0.5 * abs(yaw)) / (0.5 - 0.5 * abs(yaw)) - 1.0
     assert event.extra["more"] == pytest.approx(ratio, abs=0.01)
-    assert told(vehicle, 0.5 + 0.5 * 0.5 * outputs.TWISTED * spin) == ()
+    assert reported(vehicle, 0.5 + 0.5 * 0.5 * outputs.TWISTED * spin) == ()
     later = np.where(TIME[:, None] > 40.0, 0.5 + 0.5 * yaw * spin, 0.5)  # a mount that turns in flight has a kind of its own
-    assert told(vehicle, later) == ()
+    assert reported(vehicle, later) == ()
 
 
 def test_a_load_off_the_middle_is_neither():
     B = QUAD.effectiveness()
     for roll, pitch in ((0.15, 0.0), (0.0, -0.15), (0.12, 0.12)):
-        assert told(QUAD, 0.5 * np.linalg.pinv(B) @ np.array([4.0 * roll, 4.0 * pitch, 0.0, 4.0])) == ()
+        assert reported(QUAD, 0.5 * np.linalg.pinv(B) @ np.array([4.0 * roll, 4.0 * pitch, 0.0, 4.0])) == ()
 
 
-def test_what_comes_after_a_fault_is_not_told():
+def test_what_comes_after_a_fault_is_not_reported():
     share = lacking(QUAD, 2, 0.4)
-    assert told(QUAD, share, until=ledger.undisturbed((hexa_event(onset_s=2.0),))) == ()
-    assert told(QUAD, share, until=ledger.undisturbed(told(QUAD, share)))  # a notice explains no other
+    assert reported(QUAD, share, until=ledger.undisturbed((hexa_event(onset_s=2.0),))) == ()
+    assert reported(QUAD, share, until=ledger.undisturbed(reported(QUAD, share)))  # a notice explains no other
     late = np.where(TIME[:, None] > 30.0, 1.0, 0.5) * np.ones(4)
-    assert told(QUAD, late) and told(QUAD, late, until=29.0) == ()
+    assert reported(QUAD, late) and reported(QUAD, late, until=29.0) == ()
 
 
 def sinking(given, limit, down, weight=1.3):
-    """What is told of a hexa that loses rotor 3 at 30 s: its others give `given` of the weight from then on, rotor 3's output is at its
+    """What is reported of a hexa that loses rotor 3 at 30 s: its others give `given` of the weight from then on, rotor 3's output is at its
     limit or not. weight: full thrust over the weight."""
     hover, alive = 1.0 / weight, np.arange(6) != 2
     share = np.where(TIME[:, None] < 30.0, hover, np.where(alive, given * hover * 6.0 / 5.0, 1.0 if limit else 0.5))
@@ -150,7 +150,7 @@ def sinking(given, limit, down, weight=1.3):
     none = np.zeros((TIME.size, 3))
     table = Ticks(
         TIME, TIME, share / hover, share @ HEXA.effectiveness().T, none, none, np.ones(TIME.size), np.ones((TIME.size, 4), bool),
-        np.full(TIME.size, JUDGE), ~some, np.full(TIME.size, hover), 0.1, ~some,
+        np.full(TIME.size, ASSESS), ~some, np.full(TIME.size, hover), 0.1, ~some,
     )  # fmt: skip
     lost = hexa_event(rotors=(3,), onset_s=30.0, end_s=None, loss=(1.0,), interval=((0.95, 1.0),), alternatives=())
     return outputs.exhausted(flown, HEXA, table, ((0.0, 40.0),), (lost,))
@@ -187,7 +187,7 @@ def shares(share):
 
 
 @pytest.mark.parametrize(("cap", "motors"), [(0.75, (1, 2, 3, 4)), (0.8, (2,))])
-def test_a_cap_is_told_as_a_cap(cap, motors):
+def test_a_cap_is_reported_as_a_cap(cap, motors):
     (event,) = outputs.capped(shares(plateaus(cap, motors)), QUAD, AIR)
     assert event.kind == CAPPED and event.extra["motors"] == list(motors) and event.extra["output"] == pytest.approx(cap)
     assert f"never exceeded {100 * cap:.0f} %" in event.reason and event.extra["seconds"] >= outputs.CAPPED_S
@@ -201,7 +201,7 @@ def test_what_is_no_cap(share):
     assert outputs.capped(shares(share), QUAD, AIR) == []
 
 
-def test_the_output_that_the_mixer_gives_up_is_told_and_not_accused():
+def test_the_output_that_the_mixer_gives_up_is_reported_and_not_accused():
     """Motors 3 and 4 of a hexa X are opposite."""
     lost = hexa_event(rotors=(3,), onset_s=30.0, end_s=None, loss=(1.0,), interval=((0.95, 1.0),))
     share = np.full((TIME.size, 6), 0.5)

@@ -40,7 +40,7 @@ def test_other_data_give_another_page(make, data):
     assert "| a \\| b | refuted |" in make.page(other) != make.page(data)
 
 
-def test_claims_that_were_judged_for_several_forms_have_a_table_of_them(make, data):
+def test_claims_that_were_assessed_for_several_forms_have_a_table_of_them(make, data):
     row = next(row for row in data if row["paper"] == "aesmf")
     head, *lines = make.by_form(row["forms"])
     known = {claim["claim"]: claim["verdict"] for claim in row["claims"]}

@@ -86,8 +86,8 @@ def test_ticks_and_losses_are_the_trace(tmp_path):
         ticks["pitch_deg"], trace.attitude[:, 1]
     )
     assert ticks["pitch_rate_deg_s"].null_count == len(trace.time)  # it is not flown by rates
-    time, judged = trace.time, ticks["judged"].to_numpy(zero_copy_only=False)
-    assert not judged[time < 11.0].any() and judged[(time > 12.0) & (time < 100.0)].all()
+    time, assessed = trace.time, ticks["assessed"].to_numpy(zero_copy_only=False)
+    assert not assessed[time < 11.0].any() and assessed[(time > 12.0) & (time < 100.0)].all()
     third = duckdb.sql(f"SELECT loss, evidence FROM '{tmp_path}/out/losses.parquet' WHERE rotor = 3 ORDER BY time_s").fetchnumpy()
     assert np.allclose(third["loss"], trace.loss[:, 2], atol=1e-6)
     assert np.allclose(np.ma.filled(third["evidence"], np.nan), trace.evidence["rotor 3"], rtol=1e-4, equal_nan=True)
@@ -118,7 +118,7 @@ def test_fields_of_a_kind_alone_are_json(tmp_path):
     assert json.loads(more) == {"gives": 1.5} and others == [[4, 5], [6]]
 
 
-def test_what_was_judged_before_an_interruption_is_there(tmp_path):
+def test_what_was_assessed_before_an_interruption_is_there(tmp_path):
     with pytest.raises(KeyboardInterrupt), parquet_tables.Writer(tmp_path) as out:
         out.add(parquet_tables.tables(hexa_diagnosis(), "a"))
         out.add(parquet_tables.failed("b/c.bin", "no"))

@@ -51,7 +51,7 @@ def possible(what, rise=1.0, now=None, measured=True, active=(), rough=(0.0, 0.0
     leader = made(Branch, active=np.isin(np.arange(1, N + 1), active))
     tick = made(Inputs, valid=np.array([True, True, True, measured]))
     what.since = since / DT
-    may.judge(P, what, Slots(), tick, seen, now or missing(), leader, made(Noise, v=v), coupling)
+    may.assess(P, what, Slots(), tick, seen, now or missing(), leader, made(Noise, v=v), coupling)
     return may.asked and may.missing
 
 

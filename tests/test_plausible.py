@@ -202,7 +202,7 @@ def test_a_kick_of_all_motors_stays():
 
 
 def rough_commands(seed, n=4000):
-    """(n, 4): a lively flight of a quad at 1 kHz; motor 3 is told less than it can, so that it mostly lies at idle."""
+    """(n, 4): a lively flight of a quad at 1 kHz; motor 3 is commanded less than it can, so that it mostly lies at idle."""
     return np.clip([0.4, 0.3, 0.0, 0.35] + 0.025 * np.random.default_rng(seed).standard_normal((n, 4)), 0.055, 1.0)
 
 
@@ -263,7 +263,7 @@ def test_logs_of_vehicles_that_jolt_are_not_called_damaged(name):
 
 
 def test_a_log_cut_short_keeps_what_was_said_before_the_cut():
-    """Only the last samples may be judged otherwise: nothing later than AHEAD of them counts."""
+    """Only the last samples may be assessed otherwise: nothing later than AHEAD of them counts."""
     whole = flight(**changed("lift", [100, 240], 1, 0.3), **changed("motors", [150, 290], 2, 200.0))
     cut, all_of_it = plausible.checked(whole.until(30.0)), plausible.checked(whole)
     for name in ("motors", "lift"):
@@ -291,7 +291,7 @@ def test_every_bit_of_a_whole_parameter_that_makes_it_no_whole_number_is_seen():
 
 
 def test_what_no_diagnosis_would_notice_is_left_alone():
-    """A lone value counts from its signal's floor on; floors are sizes, and every signal that is judged on has one."""
+    """A lone value counts from its signal's floor on; floors are sizes, and every signal that is assessed on has one."""
     assert all(0.0 < floor for floor in plausible.FLOORS.values())
     for name, columns in (("battery", ("voltage", "current")), ("accel", ("x", "y", "z"))):
         for times_floor, wild in ((0.5, 0), (5.0, 1)):

@@ -103,11 +103,11 @@ def test_a_camera_out_in_front_accuses_no_rotor(side):
     assert found["verdict"] == "healthy" and "leaning" not in found
 
 
-def test_a_rotor_at_its_limit_or_a_short_flight_is_not_judged(monkeypatch):
+def test_a_rotor_at_its_limit_or_a_short_flight_is_not_assessed(monkeypatch):
     craft = airframes.named("ardupilot-quad-x")
-    for found, judged in ((hover(np.zeros(3)), True), (hover(np.zeros(3), limited=0.5), False)):
+    for found, assessed in ((hover(np.zeros(3)), True), (hover(np.zeros(3), limited=0.5), False)):
         monkeypatch.setattr(population, "features", lambda *_, found=found: found)
-        assert (population.judge(None, craft, [(0.0, 30.0)]) is not None) is judged  # pyright: ignore[reportArgumentType]
+        assert (population.assess(None, craft, [(0.0, 30.0)]) is not None) is assessed  # pyright: ignore[reportArgumentType]
 
 
 @cache

@@ -88,8 +88,8 @@ def test_weights_are_log_likelihoods_that_count_for_less_with_age(seed):
     density = -0.5 * np.log(2 * np.pi * variance) - 0.5 * e**2 / variance
     expected = w0.copy()
     for k in range(ticks):
-        told = sum(calm[k, a] * density[k, :, a] for a in range(4) if valid[k, a])
-        expected += TEMPER * np.exp(-(first_age + k * DT) / BURST_S) * told
+        reported = sum(calm[k, a] * density[k, :, a] for a in range(4) if valid[k, a])
+        expected += TEMPER * np.exp(-(first_age + k * DT) / BURST_S) * reported
     expected -= expected[0]
     assert weights_of(b)[:3] == pytest.approx(expected[:3], rel=1e-9, abs=1e-9)
     assert b.all[3].weight == NEVER and b.age == pytest.approx(first_age + ticks * DT)
@@ -97,7 +97,7 @@ def test_weights_are_log_likelihoods_that_count_for_less_with_age(seed):
 
 
 def test_what_does_not_count_changes_no_weight():
-    """Ticks that are not judged; axes that were not measured, whatever their numbers are."""
+    """Ticks that are not assessed; axes that were not measured, whatever their numbers are."""
     e, variance, valid, calm = stretch(1, 10)
     start = some([0.0, -1.0, 2.0, NEVER])
     assert weights_of(weighed(start, e, variance, valid, calm, counts=False)) == pytest.approx(weights_of(start))
@@ -189,5 +189,5 @@ def test_pairs_that_look_alike_stay_possible(alike, stays):
     start = some([0.0, OUT - 1.0, NEVER, NEVER], age=2.0 * YOUNG_S)
     for one in start.all[:2]:
         one.alike[1] = alike
-    told = weigh(start, np.zeros((PLACES, 4)), np.ones((PLACES, 4)), np.ones(4, bool), np.ones(4))
-    assert told.all[1].weight == (-CLEAR if stays else NEVER)
+    reported = weigh(start, np.zeros((PLACES, 4)), np.ones((PLACES, 4)), np.ones(4, bool), np.ones(4))
+    assert reported.all[1].weight == (-CLEAR if stays else NEVER)

@@ -1,4 +1,4 @@
-"""Two publishers in one topic instance are told apart; a single one never is."""
+"""Two publishers in one topic instance are distinguished; a single one never is."""
 
 import numpy as np
 import pytest

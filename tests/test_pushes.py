@@ -105,8 +105,8 @@ def test_the_side_force_speaks_of_pushes_that_begin_at_once():
     them = [rivals.Rival("nothing", Explanation()), rivals.PUSH, rivals.PUSH._replace(how=rivals.PUSH.how._replace(end_s=END_S)), grows]
     lift = 4.0 * begins.lift
     fits = compare(where, [r.how._replace(lift=lift if r.how.push else 0.0) for r in them])
-    told = rivals._fitted(where, them, END_S, (begins, ends))
-    more = [a.log_p - b.log_p for a, b in zip(told, fits, strict=True)]
+    reported = rivals._fitted(where, them, END_S, (begins, ends))
+    more = [a.log_p - b.log_p for a, b in zip(reported, fits, strict=True)]
     assert more == pytest.approx([0.0, begins.log_odds, begins.log_odds + ends.log_odds, 0.0], abs=1e-9)
 
 

@@ -1,4 +1,4 @@
-"""`info` says ready exactly when `diagnose` judges the log: the same functions decide."""
+"""`info` says ready exactly when `diagnose` assesses the log: the same functions decide."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -40,11 +40,11 @@ def test_ready_is_what_diagnose_does(flight, what, words):
     assert (found.what if found else None) == what and (found is None or words in found.why)
     assert facts["ready"] == (what is None) == (not any(gap["needed"] for gap in facts["missing"]))
     try:
-        judged = not diagnose(flight).headline.startswith("Not assessed")
+        assessed = not diagnose(flight).headline.startswith("Not assessed")
     except RotorwatchError as why:
-        judged = False
+        assessed = False
         assert found is not None and str(why) == found.why
-    assert judged == facts["ready"]
+    assert assessed == facts["ready"]
 
 
 def test_an_airframe_that_is_given_removes_that_obstacle():
@@ -58,7 +58,7 @@ def test_real_logs_too(name):
     flight = logs.read(next((SHARED / "wild").glob(f"{name}.*")))
     try:
         answer = diagnose(flight)
-        judged = answer.verdict != "inconclusive"
+        assessed = answer.verdict != "inconclusive"
     except RotorwatchError:
-        judged = False
-    assert info(flight)["ready"] == judged
+        assessed = False
+    assert info(flight)["ready"] == assessed

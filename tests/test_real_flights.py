@@ -71,7 +71,7 @@ def test_openhas_losses_count_from_the_first_row(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "changed, loe, ch7, told",
+    "changed, loe, ch7, reported",
     [
         (False, [1.0, 0.48, 0.0, 0.0], [1094, 1094, 1094, 1514], [("1", 10.0, None), ("2", 30.0, None)]),
         (False, [1.0, 0.0, 0.0, 0.48], [1934, 1934, 1934, 1934], [("1+4", 10.0, None)]),
@@ -80,9 +80,9 @@ def test_openhas_losses_count_from_the_first_row(tmp_path):
         (True, [1.0, 1.0, 1.0, 1.0], [1934, 1934, 1934, 1934], []),
     ],
 )
-def test_rotors_switched_off_follow_the_switches(changed, loe, ch7, told):
+def test_rotors_switched_off_follow_the_switches(changed, loe, ch7, reported):
     found = degraded_control.faults(np.arange(4) * 10.0, np.array(loe), np.array(ch7), changed)
-    assert [(f["rotor"], f["onset_s"], f["end_s"]) for f in found] == told
+    assert [(f["rotor"], f["onset_s"], f["end_s"]) for f in found] == reported
 
 
 def test_labels_by_folder_names(tmp_path):
@@ -154,7 +154,7 @@ def test_the_page_is_made_of_the_results(maker):
     assert all(hasattr(real_flights.recipe(s["recipe"]), "flights") for s in sources)
 
 
-def test_a_rule_is_judged_on_each_fault_by_its_alarms_up_to_the_next(maker, monkeypatch):
+def test_a_rule_is_assessed_on_each_fault_by_its_alarms_up_to_the_next(maker, monkeypatch):
     alarms = [{"detector": rules.REVIEW, "time_s": t, "rotor": r} for t, r in ((10.5, 1), (20.5, 4))]
     monkeypatch.setattr(maker.logs, "read", lambda path: None)
     monkeypatch.setattr(maker.rules, "findings", lambda log, vehicle: alarms)
@@ -170,7 +170,7 @@ def test_a_checkout_becomes_rows_without_its_folder(maker, tmp_path, monkeypatch
     (checkout / "healthy.bin.xz").write_bytes((SAMPLES / "quadx_healthy_hover.bin.xz").read_bytes())
     (checkout / "healthy.bin.xz").rename(checkout / "healthy.bin")  # compressed all the same
     source = {"repository": "some/logs", "commit": "0", "licence": "-", "recipe": "others", "about": "-", "label": "none"}
-    rows = maker.judged(source, checkout, tmp_path / "converted" / "some+logs", 1)
+    rows = maker.assessed(source, checkout, tmp_path / "converted" / "some+logs", 1)
     assert [(r["path"], r["outcome"]) for r in rows] == [("broken.bin", evaluate.REFUSED), ("healthy.bin", "clean")]
     assert str(tmp_path) not in json.dumps(rows)
     monkeypatch.setattr(maker, "ROWS", tmp_path / "rows.csv")

@@ -146,8 +146,8 @@ def test_scripts_that_workflows_name_are_there():
 
 
 @pytest.fixture
-def judge(tmp_path):
-    """judge(exit code of rotorwatch, **environment) -> what tools/action/judge.sh does, with a rotorwatch that only answers."""
+def assess(tmp_path):
+    """assess(exit code of rotorwatch, **environment) -> what tools/action/assess.sh does, with a rotorwatch that only answers."""
 
     def run(code, **environment):
         (tmp_path / "bin").mkdir(exist_ok=True)
@@ -157,7 +157,7 @@ def judge(tmp_path):
         clean = {k: v for k, v in os.environ.items() if not k.startswith("GITHUB_")}
         path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
         return subprocess.run(
-            ["bash", ROOT / "tools" / "action" / "judge.sh"], cwd=tmp_path, env={**clean, "PATH": path, **environment},
+            ["bash", ROOT / "tools" / "action" / "assess.sh"], cwd=tmp_path, env={**clean, "PATH": path, **environment},
             capture_output=True, text=True,
         )  # fmt: skip
 
@@ -168,13 +168,13 @@ def judge(tmp_path):
     ("code", "fail_on", "leaves"),
     [(0, "fault", 0), (1, "fault", 1), (3, "fault", 0), (3, "undecided", 1), (1, "never", 0), (2, "never", 2), (0, "x", 2)],
 )
-def test_the_action_fails_when_it_is_asked_to(judge, code, fail_on, leaves):
-    assert judge(code, LOGS="a.bin", FAIL_ON=fail_on).returncode == leaves
+def test_the_action_fails_when_it_is_asked_to(assess, code, fail_on, leaves):
+    assert assess(code, LOGS="a.bin", FAIL_ON=fail_on).returncode == leaves
 
 
-def test_the_action_hands_on_what_it_was_given(judge, tmp_path):
+def test_the_action_hands_on_what_it_was_given(assess, tmp_path):
     logs = "my logs/a.bin\n$(touch stolen)\n-x.bin\n"
-    done = judge(1, LOGS=logs, VEHICLE="v.toml", BASELINE="h1.bin\nh2.bin", REPORTS="r", GITHUB_OUTPUT="out.txt")
+    done = assess(1, LOGS=logs, VEHICLE="v.toml", BASELINE="h1.bin\nh2.bin", REPORTS="r", GITHUB_OUTPUT="out.txt")
     words = (tmp_path / "said.txt").read_text().splitlines()
     assert words[words.index("--") + 1 :] == ["my logs/a.bin", "$(touch stolen)", "-x.bin"]
     assert words[:8] == ["diagnose", "--jsonl", "--out", "r/verdicts.jsonl", "--html", "r", "--markdown", "-"]
@@ -186,20 +186,20 @@ def test_the_action_hands_on_what_it_was_given(judge, tmp_path):
     assert (tmp_path / "r" / "summary.md").read_text() == "**Rotor 3 lost 36 %.**\n" in done.stdout
 
 
-def test_the_action_prints_no_commands_of_others(judge):
-    done = judge(0, LOGS="a.bin")
+def test_the_action_prints_no_commands_of_others(assess):
+    done = assess(0, LOGS="a.bin")
     stop, *_ = said = done.stdout.splitlines()
     assert stop.startswith("::stop-commands::")
     assert f"::{stop.rpartition('::')[2]}::" in said[1:]
 
 
 @pytest.mark.parametrize("reports", ["r", "r/inside", "there"])
-def test_the_action_writes_through_no_link(judge, tmp_path, reports):
+def test_the_action_writes_through_no_link(assess, tmp_path, reports):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "there").mkdir()
     (tmp_path / "r").symlink_to("elsewhere")
     (tmp_path / "there" / "a.html").symlink_to("../elsewhere/a.html")
-    done = judge(0, LOGS="a.bin", REPORTS=reports)
+    done = assess(0, LOGS="a.bin", REPORTS=reports)
     assert done.returncode == 2 and "symbolic link" in done.stdout
     assert not list((tmp_path / "elsewhere").iterdir()) and not (tmp_path / "said.txt").exists()
 
@@ -224,42 +224,42 @@ def pull_request(tmp_path):
     return commit
 
 
-def test_the_action_judges_the_logs_that_a_pull_request_changes(judge, pull_request, tmp_path):
+def test_the_action_assesses_the_logs_that_a_pull_request_changes(assess, pull_request, tmp_path):
     base = pull_request({"old.bin": b"x"})
     text = b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
     pull_request({"readme.txt": b"x", "build.log": b"compiled\n", "prices.csv": b"timestamp,price\n1,2\n", "model.parquet": b""})
-    assert "no flight logs" in judge(1, BASE_SHA=base).stdout
+    assert "no flight logs" in assess(1, BASE_SHA=base).stdout
     named = ["00000012.BIN", "btfl.BFL", "b.bbl", "r.db3", "r.MCAP", "c.bin.bz2", "d.Tlog.xz", "new flight.ulg", "e.bin.zip"]
     content = {"t.log": text, "t.log.xz": lzma.compress(text), "t.TXT": text, "nameless": text, "t.csv": b"time_s,gyro_x_rad_s\n"}
     pull_request({**dict.fromkeys(named, b"x"), **content})
-    assert judge(1, BASE_SHA=base).returncode == 1
+    assert assess(1, BASE_SHA=base).returncode == 1
     said = (tmp_path / "said.txt").read_text().splitlines()
     assert sorted(said[said.index("--") + 1 :]) == sorted(f"./{name}" for name in (*named, *content))
 
 
-def test_the_action_follows_no_link(judge, pull_request, tmp_path):
+def test_the_action_follows_no_link(assess, pull_request, tmp_path):
     base = pull_request({})
     (tmp_path / "link.bin").symlink_to("/etc/hostname")
     subprocess.run(["git", "add", "link.bin"], cwd=tmp_path, check=True)
     pull_request({})
-    assert "no flight logs" in (done := judge(1, BASE_SHA=base)).stdout and "::notice::1 symbolic link" in done.stdout
+    assert "no flight logs" in (done := assess(1, BASE_SHA=base)).stdout and "::notice::1 symbolic link" in done.stdout
 
 
-def test_the_action_fails_where_it_cannot_tell_what_changed(judge, pull_request, tmp_path):
+def test_the_action_fails_where_it_cannot_tell_what_changed(assess, pull_request, tmp_path):
     """A checkout without the base, one without a place to fetch it from, one that leaves a log out, and none at all."""
     base = pull_request({"a.txt": b"x"}, "theirs")
     pull_request({"a.bin": b"x"}, "theirs")
     for command in (["clone", "-q", "--depth=1", f"file://{tmp_path}/theirs", "shallow"], ["init", "-q"]):
         subprocess.run(["git", *command], cwd=tmp_path, check=True)
     shallow = {"BASE_SHA": base, "GIT_DIR": f"{tmp_path}/shallow/.git", "GIT_WORK_TREE": f"{tmp_path}/shallow"}
-    done = judge(1, BASE_SHA=base)
+    done = assess(1, BASE_SHA=base)
     assert done.returncode == 2 and "::error::git fetch failed" in done.stdout and "fetch-depth: 0" in done.stdout
-    assert judge(1, BASE_SHA="main").returncode == 2
-    done = judge(1, **shallow)
+    assert assess(1, BASE_SHA="main").returncode == 2
+    done = assess(1, **shallow)
     assert done.returncode == 2 and "leaves out" in done.stdout, "the base was fetched, but a.bin is not in the folder"
     assert not (tmp_path / "said.txt").exists()
     (tmp_path / "a.bin").write_bytes(b"x")
-    assert judge(1, **shallow).returncode == 1
+    assert assess(1, **shallow).returncode == 1
     assert (tmp_path / "said.txt").read_text().splitlines()[-1] == "./a.bin"
 
 
@@ -343,7 +343,7 @@ def runner(tmp_path):
     return run
 
 
-JUDGE, COMMENT = "Judge the logs", "Comment on the pull request"
+ASSESS, COMMENT = "Assess the logs", "Comment on the pull request"
 SAMPLE = ROOT / "src" / "rotorwatch" / "samples" / "quadx_healthy_hover.bin.xz"
 
 
@@ -351,13 +351,13 @@ def test_the_action_writes_a_summary_and_one_comment(runner, tmp_path):
     (tmp_path / "flight.bin.xz").write_bytes(SAMPLE.read_bytes())
     codes, printed, comments = runner({"logs": "flight.bin.xz"})
     summary = (tmp_path / "summary.md").read_text(encoding="utf-8")
-    assert codes == {JUDGE: 0} and len(comments) == 1, printed
+    assert codes == {ASSESS: 0} and len(comments) == 1, printed
     assert summary.startswith("## Flight logs\n\n**1 log: 1 healthy**") and "`flight.bin.xz`" in summary
     assert str(tmp_path) not in summary and "![" not in summary
     (tmp_path / "broken.bin").write_bytes(b"no log")
     for logs in ("broken.bin", "flight.bin.xz\nbroken.bin"):
         codes, printed, comments = runner({"logs": logs, "comment": "true"})
-        assert codes == {JUDGE: 2, COMMENT: 0}, printed
+        assert codes == {ASSESS: 2, COMMENT: 0}, printed
         assert len(comments) == 2, "the second time it is updated"
         assert comments[1][1].startswith("<!-- rotorwatch flights/logs -->\n### Flight logs\n\n**")
         assert "1 error" in comments[1][1] and ("1 healthy" in comments[1][1]) == ("flight" in logs)
@@ -383,7 +383,7 @@ def commented(runner, tmp_path):
 )
 def test_a_comment_that_cannot_be_written_fails_nothing(commented, tmp_path, environment, words):
     codes, printed, comments = commented({}, **environment)
-    assert codes == {JUDGE: 1, COMMENT: 0} and len(comments) == 1
+    assert codes == {ASSESS: 1, COMMENT: 0} and len(comments) == 1
     assert f"::notice::No comment was written: {words}" in printed
     assert "secret" not in printed
 
@@ -393,10 +393,10 @@ def test_a_comment_on_logs_that_are_gone_is_updated(commented, tmp_path):
         subprocess.run(["git", *command], cwd=tmp_path, check=True)
     head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout.strip()
     codes, _, comments = commented({"logs": ""}, head)
-    assert codes == {JUDGE: 0, COMMENT: 0} and len(comments) == 1, "nothing was said, and there is nothing to say"
+    assert codes == {ASSESS: 0, COMMENT: 0} and len(comments) == 1, "nothing was said, and there is nothing to say"
     codes, _, comments = commented({})
-    assert codes == {JUDGE: 1, COMMENT: 0} and "**2 logs**" in comments[1][1]
+    assert codes == {ASSESS: 1, COMMENT: 0} and "**2 logs**" in comments[1][1]
     codes, _, comments = commented({"logs": ""}, head)
-    assert codes == {JUDGE: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
+    assert codes == {ASSESS: 0, COMMENT: 0} and "changes no flight logs any more" in comments[1][1] and len(comments) == 2
     codes, _, comments = commented({"fail-on": "sometimes"})
-    assert codes == {JUDGE: 2, COMMENT: 0} and "could not be diagnosed" in comments[1][1] and len(comments) == 2
+    assert codes == {ASSESS: 2, COMMENT: 0} and "could not be diagnosed" in comments[1][1] and len(comments) == 2

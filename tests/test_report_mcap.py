@@ -71,7 +71,7 @@ def test_events_verdict_and_log(diagnosis, file):
     assert all(m["timestamp"]["sec"] * 10**9 + m["timestamp"]["nsec"] == t for t, m in found["/rotorwatch/log"])
     assert schemas["/rotorwatch/log"][0] == "foxglove.Log"
     phases = [m["phase"] for _, m in found["/rotorwatch/state"]]
-    assert phases == ["on the ground", "learning what healthy means for this flight", "judged", "on the ground"]
+    assert phases == ["on the ground", "learning what healthy means for this flight", "assessed", "on the ground"]
 
 
 def test_schemas_name_every_field(file):
@@ -112,7 +112,7 @@ def test_values_that_are_not_known_are_left_out(diagnosis, tmp_path):
     assert "rotor_6" in schemas["/rotorwatch/motors"][2]["properties"]
 
 
-def test_a_flight_that_was_not_judged_has_its_verdict(tmp_path):
+def test_a_flight_that_was_not_assessed_has_its_verdict(tmp_path):
     hexa_diagnosis(trace=None, events=()).to_mcap(tmp_path / "out.mcap")
     assert set(messages(tmp_path / "out.mcap")[0]) == {"/rotorwatch/verdict", "/rotorwatch/log"}
 

@@ -41,7 +41,7 @@ def flight(*messages, duration=70.0, signals=None, parameters=None):
         ("text", "Yaw Imbalance 38%", "yaw"), ("event", "failsafe begins", "failsafe"), ("error", "internal: error 1", "internal"),
     ],
 )  # fmt: skip
-def test_a_trouble_is_told_once_at_its_first_report(kind, text, trouble):
+def test_a_trouble_is_reported_once_at_its_first_report(kind, text, trouble):
     (event,) = reports.claims(flight(Message(31.2, kind, text), Message(33.0, kind, text)), AIR)
     assert event.kind == REPORTED and event.onset_s == 31.2 and event.extra["trouble"] == trouble and not event.rotors
     assert text in event.reason and "1 more" in event.reason
@@ -65,7 +65,7 @@ def test_what_ended_a_flight_is_written_down_a_moment_later(text, late_s):
         (60.0, "disarmed: sticks"), (60.0, "disarmed: landing"), (20.0, "rotorwatch: rotor 3 lost 35 % (19-52)"),
     ],
 )  # fmt: skip
-def test_what_is_no_trouble_or_not_of_the_flight_is_not_told(time, text):
+def test_what_is_no_trouble_or_not_of_the_flight_is_not_reported(time, text):
     assert reports.claims(flight(Message(time, "text", text)), AIR) == ()
 
 
@@ -83,7 +83,7 @@ def sagging(least, **limits):
     return reports.claims(flight(signals={"battery": battery}, parameters=limits), AIR)
 
 
-def test_a_voltage_below_the_autopilots_own_limit_is_told_with_both():
+def test_a_voltage_below_the_autopilots_own_limit_is_reported_with_both():
     (event,) = sagging(9.6, BATT_LOW_VOLT=10.5)
     assert event.extra["trouble"] == "battery" and abs(event.onset_s - 30.0) < 1.0
     assert "9.6 V" in event.reason and "below BATT_LOW_VOLT (10.5 V)" in event.reason
@@ -94,16 +94,16 @@ def test_a_voltage_below_the_autopilots_own_limit_is_told_with_both():
 
 def test_the_story_of_a_fall_has_it_in_its_place():
     lost = hexa_event(kind=LOST, rotors=(), loss=(), interval=(), onset_s=31.0, detected_s=31.5, extra={"cause": "controller"})
-    (told,) = reports.claims(flight(Message(30.2, "text", "EKF3 lane switch 1")), AIR)
-    lines = story.narrate((told, lost), None, 6, hops=AIR)
+    (reported,) = reports.claims(flight(Message(30.2, "text", "EKF3 lane switch 1")), AIR)
+    lines = story.narrate((reported, lost), None, 6, hops=AIR)
     assert [line.time_s for line in lines] == sorted(line.time_s for line in lines)
     assert any("reported an estimator fault" in line.text and line.time_s == 30.2 for line in lines)
     assert len(lines) == 1 + len(story.narrate((replace(lost),), None, 6, hops=AIR))
 
 
 def test_the_autopilots_own_words_are_quoted_where_it_has_some():
-    told = flight(Message(30.0, "error", "radio: error 2"), Message(30.1, "text", "Radio Failsafe"))
-    assert '"Radio Failsafe", and 1 more' in reports.claims(told, AIR)[0].reason
+    reported = flight(Message(30.0, "error", "radio: error 2"), Message(30.1, "text", "Radio Failsafe"))
+    assert '"Radio Failsafe", and 1 more' in reports.claims(reported, AIR)[0].reason
 
 
 def test_a_part_that_is_not_there_is_not_lost():
@@ -118,7 +118,7 @@ TIME = np.arange(0.0, 70.0, 0.2)
 
 
 def limited(name, values, autopilot="ArduPilot", lost=()):
-    """What is told of a signal that is compared with limits."""
+    """What is reported of a signal that is compared with limits."""
     values = np.asarray(values, float).reshape(TIME.size, -1)
     columns = {"innovations": ("velocity", "position", "height", "compass")}.get(name, ("level",))
     one = Signal(TIME, np.broadcast_to(values, (TIME.size, len(columns))), columns, "1")
@@ -177,7 +177,7 @@ def test_a_voltage_that_falls_by_more_than_its_current_explains():
     assert discharged(16.0 - 0.02 * TIME - 0.05 * pulls, pinned) == ()
 
 
-def test_a_voltage_that_falls_as_the_flight_ends_is_told():
+def test_a_voltage_that_falls_as_the_flight_ends_is_reported():
     amps = 20.0 + 5.0 * np.sin(TIME)
     sound = 16.0 - 0.02 * TIME - 0.05 * amps
     (event,) = discharged(np.where(TIME > 59.0, sound - 5.0, sound), amps)
@@ -192,8 +192,8 @@ def answered(cause, *messages, onset_s=40.0, rotors=()):
         kind=LOST, rotors=rotors, loss=(), interval=(), onset_s=onset_s, detected_s=onset_s + 0.5,
         extra={"cause": cause, "worked_until_s": [onset_s] * 6, "evidence": []},
     )  # fmt: skip
-    told = reports.claims(flight(*messages), AIR)
-    events = [*told, falls._with_reports(lost, told)]
+    reported = reports.claims(flight(*messages), AIR)
+    events = [*reported, falls._with_reports(lost, reported)]
     if rotors:
         events.append(hexa_event(rotors=rotors, onset_s=onset_s, detected_s=onset_s + 0.4, loss=(0.95,), interval=((0.9, 1.0),)))
     return hexa_diagnosis(events=tuple(sorted(events, key=lambda e: e.detected_s)))
@@ -229,15 +229,15 @@ def test_what_was_long_ago_or_struck_competes_with_nothing():
     assert "Radio" not in answered("knock", Message(39.0, "text", "Radio Failsafe")).headline
 
 
-def test_who_stopped_the_motors_is_told_with_it():
+def test_who_stopped_the_motors_is_reported_with_it():
     answer = answered("disarmed", Message(40.1, "event", "disarmed: runaway take-off"))
     assert answer.headline.startswith("At 40.10 s the autopilot stopped the motors")
 
 
 def test_a_log_that_contradicts_itself_tells_what_was_reported_all_the_same():
     """It does not rest on the outputs."""
-    told = reports.claims(flight(Message(30.0, "text", "Low battery")), AIR)
-    answer = hexa_diagnosis(events=(hexa_event(), *told), doubts=("the outputs stand still.",))
+    reported = reports.claims(flight(Message(30.0, "text", "Low battery")), AIR)
+    answer = hexa_diagnosis(events=(hexa_event(), *reported), doubts=("the outputs stand still.",))
     assert [e.kind for e in answer.events] == [REPORTED] and "Low battery" in answer.headline
 
 
@@ -251,6 +251,6 @@ def test_what_ends_a_flight_leads_where_no_fault_is_found():
     """Power that fails as the log ends is what the pilot asks about, not that no rotor lost thrust until then."""
     amps = 20.0 + 5.0 * np.sin(TIME)
     sound = 16.0 - 0.02 * TIME - 0.05 * amps
-    told = discharged(np.where(TIME > 55.0, sound - 5.0, sound), amps)
-    assert hexa_diagnosis(events=told).headline.startswith("At 55.20 s the battery's voltage fell by 5.")
-    assert hexa_diagnosis(events=(hexa_event(), *told)).headline.startswith("Rotor 3 (front left) lost 37 %")
+    reported = discharged(np.where(TIME > 55.0, sound - 5.0, sound), amps)
+    assert hexa_diagnosis(events=reported).headline.startswith("At 55.20 s the battery's voltage fell by 5.")
+    assert hexa_diagnosis(events=(hexa_event(), *reported)).headline.startswith("Rotor 3 (front left) lost 37 %")

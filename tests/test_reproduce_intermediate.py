@@ -202,13 +202,13 @@ def test_equations_1_and_6_as_printed():
 
 
 def test_holding_a_position_is_the_hovering_flight_for_angles_and_height():
-    """Both simulators, with no wish to go anywhere: what rotors are told in hover, and the fall while they weaken alike."""
+    """Both simulators, with no wish to go anywhere: what rotors are commanded in hover, and the fall while they weaken alike."""
     vehicle, T = hover_flights.craft(FILE), 200
     gamma = np.zeros((1, T, 4))
     gamma[:, 50:] = 0.3
     place, u = hover_flights.hold(vehicle, gamma, np.ones(1))
-    told, y = hover_flights.fly(vehicle, gamma, np.zeros((1, T, 4)), np.zeros((1, 4 * T, 8)))
-    np.testing.assert_allclose(u, told, atol=1e-6)
+    reported, y = hover_flights.fly(vehicle, gamma, np.zeros((1, T, 4)), np.zeros((1, 4 * T, 8)))
+    np.testing.assert_allclose(u, reported, atol=1e-6)
     np.testing.assert_allclose(place[..., 2], -y[..., 3], atol=1e-9)
 
 

@@ -57,7 +57,7 @@ def test_eq_6_literally_takes_the_plant_at_the_estimate():
         carry = estimator.init()._replace(x=omega_hat, measured=omega, theta=theta)
         _, out = estimator.step(carry, u, y, valid)
         np.testing.assert_allclose(out.innovation[:3], y[:3] - (omega_hat + dt * turned(at)), atol=2e-4)
-    assert np.abs(turned(omega) - turned(omega_hat)).max() * dt > 1e-3  # the two are told apart
+    assert np.abs(turned(omega) - turned(omega_hat)).max() * dt > 1e-3  # the two are distinguished
 
 
 def numbers(better, worse):

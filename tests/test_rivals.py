@@ -10,7 +10,7 @@ from rotorwatch.engine.bindings.explaining import Explanation, compare, lagged, 
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.motion.ground_contact import on_ground
-from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, HOVER_LEARN_S, LEARN, READY_S, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, OVERRIDE, SLOW_RESPONSE
@@ -52,8 +52,8 @@ def flight(loss=0.0, rotor=0, end=np.inf, late_s=0.0, trim=None, seed=0):
     turns = (gives - needed)[:, :3] / np.array([0.02, 0.02, 0.5]) + rng.normal(0.0, 0.05, (count, 3))
     return Ticks(
         time, time - 0.5 * DT, thrust, thrust @ QUAD.T, np.zeros((count, 3)), turns, 1.0 + rng.normal(0.0, 0.005, count),
-        np.ones((count, 4), bool), np.where(time >= READY_S, JUDGE, LEARN).astype(np.int32), np.arange(count) == 0, np.full(count, 0.4), DT,
-        np.zeros(count, bool),
+        np.ones((count, 4), bool), np.where(time >= READY_S, ASSESS, LEARN).astype(np.int32), np.arange(count) == 0, np.full(count, 0.4),
+        DT, np.zeros(count, bool),
     )  # fmt: skip
 
 
@@ -191,9 +191,9 @@ def test_a_change_that_was_taken_for_a_disturbance_ends_a_loss_only_where_the_mo
     ticks = flight(0.3, end=end or np.inf, trim=step)
     seen = view(ticks)
     known, k = list_hypotheses(4), int(np.searchsorted(ticks.time, 46.0))
-    odds, told = seen.out.log_odds.copy(), np.zeros(len(ticks.time), bool)
-    odds[k, known.kinds.index("recovery")], told[k] = 99.0, True
-    seen.out = seen.out._replace(log_odds=odds, announced=told, onset=np.full(len(told), 1.0 / ticks.dt))
+    odds, reported = seen.out.log_odds.copy(), np.zeros(len(ticks.time), bool)
+    odds[k, known.kinds.index("recovery")], reported[k] = 99.0, True
+    seen.out = seen.out._replace(log_odds=odds, announced=reported, onset=np.full(len(reported), 1.0 / ticks.dt))
     (event,) = rivals.WITNESSES[0].hear(seen, (replace(claim(1), loss=(0.3,)),))
     assert event.end_s is None if end is None else abs(event.end_s - end) < 0.5
 

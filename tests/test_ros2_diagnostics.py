@@ -173,4 +173,4 @@ def test_a_listener_of_ros_2_hears_the_node():
 
 def test_a_snapshot_is_what_the_statuses_are_made_of():
     known = snapshot.taken(flying(events=[hexa_event(alternatives=((4,),))]))
-    assert known.judged and known.faulty and known.state == "MAYBE" and len(ros2_diagnostics.statuses(known)) == 7
+    assert known.assessed and known.faulty and known.state == "MAYBE" and len(ros2_diagnostics.statuses(known)) == 7

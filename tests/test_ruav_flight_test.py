@@ -67,7 +67,7 @@ def test_the_trim_command_makes_up_for_what_is_known():
 
 @pytest.mark.thorough
 def test_hover_is_quiet_and_the_fault_is_the_one_that_was_set(flown):
-    found, at = study.judged(flown), study.FAULT_STEP - SLICE.begin
+    found, at = study.assessed(flown), study.FAULT_STEP - SLICE.begin
     assert max(found["rates_before"]) < study.QUIET and found["inside_before"] > 0.9
     np.testing.assert_allclose(flown.theta[at] - flown.theta[at - 1], ruav_flight.FAULT)
     assert (np.diff(flown.theta, axis=0)[np.arange(len(flown.theta) - 1) != at - 1] == 0).all()

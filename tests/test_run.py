@@ -88,7 +88,7 @@ def test_steps_of_a_short_table_are_the_same_by_any_engine(monkeypatch, backend)
 
 
 def test_progress_grows_to_one():
-    told = []
+    reported = []
     t = table(2 * CHUNK + 10)
-    run_built(build, {"gain": 1.0}, t.u, t.y, t.valid, progress=told.append)
-    assert told == sorted(told) and len(told) == 3 and told[-1] == 1.0
+    run_built(build, {"gain": 1.0}, t.u, t.y, t.valid, progress=reported.append)
+    assert reported == sorted(reported) and len(reported) == 3 and reported[-1] == 1.0

@@ -8,7 +8,7 @@ import pytest
 
 from rotorwatch import airframes
 from rotorwatch.engine.estimator.announcement import TICKS
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.campaign import score
 from rotorwatch_lab.experiments import counting, limits
@@ -24,7 +24,7 @@ def fault(rotor=3, **more):
 
 
 def flown(*faults, learn_until=8.0, upset_from=np.inf, duration=60.0, loss=0.2):
-    """A quad's minute, judged from 8 s on; every fault takes `loss`, times its place in the list."""
+    """A quad's minute, assessed from 8 s on; every fault takes `loss`, times its place in the list."""
     time = DT * np.arange(round(duration / DT))
     theta = np.zeros((time.size, 4))
     for k, one in enumerate(faults, start=1):
@@ -34,7 +34,7 @@ def flown(*faults, learn_until=8.0, upset_from=np.inf, duration=60.0, loss=0.2):
         "wind": {"speed_m_s": 2.5},
     }), faults=faults)  # fmt: skip
     ticks = SimpleNamespace(
-        time=time, dt=DT, mode=np.where(time < learn_until, LEARN, JUDGE), upset=time >= upset_from
+        time=time, dt=DT, mode=np.where(time < learn_until, LEARN, ASSESS), upset=time >= upset_from
     )  # fmt: skip
     return SimpleNamespace(scenario=scenario, ticks=ticks, theta=theta, number=7, lost_s=None, vehicle=QUAD)
 
@@ -56,7 +56,7 @@ def row(f, *seen, bound=None, theta=None, sd=0.01):
 
 def test_a_healthy_flight_has_healthy_time_and_no_fault():
     found = row(flown(), event((1,), 20.0), event((2,), 40.0, ((3,),)))
-    assert found["judged_s"] == found["healthy_s"] == pytest.approx(52.0)
+    assert found["assessed_s"] == found["healthy_s"] == pytest.approx(52.0)
     assert (found["false_alarms"], found["sure_false_alarms"], found["wrong"]) == (2, 1, 0)
     assert (found["fault"], found["broken"], found["clear"], found["onset_s"]) == ("", "", False, None)
     assert found["detected"] is None and found["delay_s"] is None and found["estimate"] is None
@@ -130,7 +130,7 @@ def test_bounds_are_for_one_rotor_that_loses_thrust_at_once_and_for_good(changes
 
 
 @pytest.mark.parametrize("upset_from, ramp, at", [(np.inf, 0.0, 40.0), (np.inf, 5.0, 45.0), (36.0, 0.0, 35.9), (np.inf, 40.0, 59.9)])
-def test_losses_are_compared_ten_seconds_after_the_fault_is_all_there_or_when_last_judged(upset_from, ramp, at):
+def test_losses_are_compared_ten_seconds_after_the_fault_is_all_there_or_when_last_assessed(upset_from, ramp, at):
     f = flown(fault(ramp_s=ramp), upset_from=upset_from)
     assert f.ticks.time[score._compared(f)] == pytest.approx(at)
     assert score._compared(flown(fault(), learn_until=99.0)) == 0
@@ -178,7 +178,7 @@ def test_a_rule_counts_the_first_finding_of_each_rotor():
 
 
 def test_peaks_have_to_last_as_long_as_an_announcement_needs():
-    """In healthy time, and within each window after the onset; what is not judged does not count."""
+    """In healthy time, and within each window after the onset; what is not assessed does not count."""
     f = flown(fault())
     time = f.ticks.time
     assert TICKS == 2
@@ -195,7 +195,7 @@ def test_peaks_have_to_last_as_long_as_an_announcement_needs():
     shown = {key: found[key] for key in ("peak", "peak_1s", "peak_2s", "peak_5s", "peak_10s")}
     assert shown == {"peak": 4.0, "peak_1s": -9.0, "peak_2s": 6.0, "peak_5s": 7.0, "peak_10s": 7.0}
     assert next(s for s in score.RISE_S if found[f"peak_{s:g}s"] >= 6.0) == 1.6  # where the first of them had lasted
-    assert score._peaks(f, statistic((7.9, 2, 5.0)), None) == {"peak": -9.0}  # half of it was not judged
+    assert score._peaks(f, statistic((7.9, 2, 5.0)), None) == {"peak": -9.0}  # half of it was not assessed
     assert score._peaks(f, np.full(time.size, -99.0), None) == {"peak": score.NOTHING}
     early = statistic((ONSET - score.EARLY_S - 0.1, 2, 2.0), (ONSET - score.EARLY_S + 0.1, 2, 5.0))
     assert score._peaks(f, early, ONSET)["peak"] == -9.0 and score._peaks(f, early, ONSET)["peak_1s"] == 5.0

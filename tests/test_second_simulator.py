@@ -31,11 +31,11 @@ def test_one_step_is_ours_where_the_models_agree(second, frame, lower, monkeypat
     n, dt = len(craft.x), 0.005
     q = np.array([0.9, 0.2, -0.15, 0.3])
     body = rigid.Body(np.array([1.0, 2.0, -9.0]), rng.normal(size=3), q / np.linalg.norm(q), rng.normal(size=3))
-    w, told, wind = rng.uniform(0.4, 0.9, n), rng.uniform(0.4, 0.9, n), np.array([3.0, -1.0, 0.5])
+    w, reported, wind = rng.uniform(0.4, 0.9, n), rng.uniform(0.4, 0.9, n), np.array([3.0, -1.0, 0.5])
     air = rigid.Air(wind, np.zeros(3), np.zeros(()))
-    ours, _, force = dynamics.step(craft, body, w, told, np.full(n, craft.lag), air, np.zeros(n), dt)
+    ours, _, force = dynamics.step(craft, body, w, reported, np.full(n, craft.lag), air, np.zeros(n), dt)
     vehicle = second.Vehicle(*[np.asarray(getattr(craft, name), float) for name in second.NUMBERS])
-    theirs = vehicle.step(*body, w, told, wind, np.zeros(n), dt)
+    theirs = vehicle.step(*body, w, reported, wind, np.zeros(n), dt)
     np.testing.assert_allclose(theirs[:13], np.concatenate([np.asarray(a) for a in ours]), rtol=0, atol=2e-5)
     np.testing.assert_allclose(theirs[13:], force, rtol=0, atol=0.02)
     assert np.abs(np.asarray(force)[2]) > 1.0

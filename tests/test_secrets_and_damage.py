@@ -58,16 +58,16 @@ def test_odd_addresses_are_one_sentence_without_passwords(run, words):  # noqa: 
 def store(tmp_path):
     """A store of one flight."""
     place = tmp_path / "fleet.db"
-    told = {"flight": {}, "verdict": "healthy", "reason": "", "rotors": [], "events": []}
+    reported = {"flight": {}, "verdict": "healthy", "reason": "", "rotors": [], "events": []}
     with Store(place) as made:
-        made.add(Entry(64 * "0", "", "a.bin", 1, identity="serial 1", airborne_s=60.0, duration_s=60.0, rotors=4, diagnosis=told))
+        made.add(Entry(64 * "0", "", "a.bin", 1, identity="serial 1", airborne_s=60.0, duration_s=60.0, rotors=4, diagnosis=reported))
     return place
 
 
 @pytest.mark.parametrize(
     ("change", "commands", "where"),
     [
-        ("UPDATE flights SET airborne_s = 'x'", ("assess", "rejudge"), "table flights, row 000000000000, airborne_s"),
+        ("UPDATE flights SET airborne_s = 'x'", ("assess", "reassess"), "table flights, row 000000000000, airborne_s"),
         ("UPDATE flights SET rotors = 'y'", ("assess",), "table flights, row 000000000000, rotors"),
         ("UPDATE trims SET trim = '{'", ("assess",), "table trims, row 000000000000, trim"),
         ("UPDATE standings SET standing = 'nope'", ("list",), "table standings"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rotorwatch import airframes
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch_lab.campaign import sequences
@@ -41,7 +41,7 @@ def flown(losses=(), lost_s=None, learn_until=0, upset=()):
     upset_ = np.zeros(COUNT, bool)
     for start, end in upset:
         upset_[(time >= start) & (time < end)] = True
-    mode = np.where(time < learn_until, LEARN, JUDGE)
+    mode = np.where(time < learn_until, LEARN, ASSESS)
     return SimpleNamespace(ticks=SimpleNamespace(time=time, mode=mode, upset=upset_, dt=DT), theta=theta, lost_s=lost_s)
 
 
@@ -96,7 +96,7 @@ def test_a_change_of_size_is_a_change_of_state():
     assert [s.truth for s in sequences.states(f, [])] == [(), (2,), (2,)]
 
 
-def test_what_is_too_short_not_judged_or_lost_is_no_state():
+def test_what_is_too_short_not_assessed_or_lost_is_no_state():
     faults = [(2, 20.0, 23.0, 0.3), (1, 40.0, 60.0, 0.3)]
     assert [s.truth for s in sequences.states(flown(faults), [])] == [(), (), (1,)]
     assert [s.truth for s in sequences.states(flown(faults, learn_until=18.0), [])] == [(), (1,)]
@@ -136,7 +136,7 @@ def test_every_flight_is_a_valid_scenario_with_what_its_kind_says():
     assert len(kinds) == len(set(sequences.KINDS)) * len(sequences.FRAMES)
 
 
-def test_two_flights_are_flown_judged_and_scored(monkeypatch):
+def test_two_flights_are_flown_assessed_and_scored(monkeypatch):
     monkeypatch.setattr(sequences, "WIDTH", 1)
     result = sequences.run(2, jobs=1)
     rows = result["states"]
@@ -211,7 +211,7 @@ def test_what_is_drawn_stays_within_what_is_said():
 
 
 def test_every_flight_is_flown_once_in_batches_of_one_cell(monkeypatch):
-    asked, told = [], []
+    asked, reported = [], []
     monkeypatch.setattr(sequences, "WIDTH", 2)
 
     def part(work):
@@ -219,12 +219,12 @@ def test_every_flight_is_flown_once_in_batches_of_one_cell(monkeypatch):
         return [{"flight": k, "at": 50.0 - k, "kind": "pair", "frame": "y6", "induced_m_s": 6.0, "outcome": "right"} for k in work[1]]
 
     monkeypatch.setattr(sequences, "_part", part)
-    result = sequences.run(53, seed=4, jobs=1, progress=lambda *what: told.append(what))
+    result = sequences.run(53, seed=4, jobs=1, progress=lambda *what: reported.append(what))
     cells = len(sequences.Sequences().cells)
     assert all(seed == 4 and 1 <= len(batch) <= 2 and len({k % cells for k in batch}) == 1 for seed, batch in asked)
     assert sorted(k for _, batch in asked for k in batch) == list(range(53))
     assert [row["flight"] for row in result["states"]] == list(range(53))
-    assert [share for share, _ in told] == pytest.approx(np.arange(1, len(asked) + 1) / len(asked))
+    assert [share for share, _ in reported] == pytest.approx(np.arange(1, len(asked) + 1) / len(asked))
     assert (result["flights"], result["seed"]) == (53, 4)
     assert len(sequences.run(1, jobs=1)["states"]) == 1
     with pytest.raises(ConfigError, match="flights must be at least 1, not 0"):
@@ -249,8 +249,8 @@ def test_shares_of_outcomes_by_kind_frame_and_velocity_in_hover():
     assert text[3].split()[:6] == ["all", "5", "60.0", "%", "(23-88)", "0.0"] and len(text) == 3 + len(lines)
 
 
-def test_nothing_flown_is_nothing_judged():
-    assert sequences.judged(sequences.Sequences(), []) == []
+def test_nothing_flown_is_nothing_assessed():
+    assert sequences.assessed(sequences.Sequences(), []) == []
 
 
 def test_a_state_ends_a_second_before_a_crash_and_lasts_five():

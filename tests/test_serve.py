@@ -1,4 +1,4 @@
-"""The served page without a browser: who may ask for what, uploads of every kind, the list of flights, and what pages are told."""
+"""The served page without a browser: who may ask for what, uploads of every kind, the list of flights, and what pages receive."""
 
 import asyncio
 import contextlib
@@ -43,7 +43,7 @@ def guarded(tmp_path, token="", most=2 << 20, host="127.0.0.1"):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """A client of a server that judges what it is sent, small logs only."""
+    """A client of a server that assesses what it is sent, small logs only."""
     app, flights = guarded(tmp_path_factory.mktemp("served"))
     with TestClient(app, HERE) as client:
         yield client, flights
@@ -51,7 +51,7 @@ def served(tmp_path_factory):
 
 @pytest.fixture
 def closed(tmp_path):
-    """A client of a server that wants a token; it is not started, so that nothing is judged."""
+    """A client of a server that wants a token; it is not started, so that nothing is assessed."""
     return TestClient(guarded(tmp_path, TOKEN)[0], HERE, follow_redirects=False)
 
 
@@ -209,7 +209,7 @@ def test_no_answer_names_a_path_of_the_server(tmp_path, monkeypatch, capsys, why
     monkeypatch.setattr(flights._store, "flights", failing)
     answer = TestClient(app, HERE, raise_server_exceptions=False).get("/api/flights")
     assert answer.status_code == code and "/srv" not in answer.text and answer.json()["error"].endswith(".")
-    assert "/srv/fleet.db" in capsys.readouterr().err, "who runs the server is told"
+    assert "/srv/fleet.db" in capsys.readouterr().err, "who runs the server is informed"
 
 
 def test_a_flight_of_another_version_says_so(tmp_path, monkeypatch):
@@ -351,7 +351,7 @@ def test_the_form_for_the_token_is_given_up_when_it_does_not_end(tmp_path, monke
 # Uploads
 
 
-def test_a_log_is_judged_and_kept(served):
+def test_a_log_is_assessed_and_kept(served):
     client, flights = served
     hostile = '"><script>alert(1)</script>'
     answer = send(client, hostile + ".bin.xz", SAMPLE.read_bytes())
@@ -415,9 +415,9 @@ async def body(*pieces, pause=0.0):
         yield piece
 
 
-def take(flights, limits, *pieces, pause=0.0, told=None):
+def take(flights, limits, *pieces, pause=0.0, reported=None):
     async def run():
-        here = Uploads(flights, limits, told or (lambda row: None))
+        here = Uploads(flights, limits, reported or (lambda row: None))
         try:
             return await here.take("a.bin", None, body(*pieces, pause=pause))
         finally:
@@ -436,18 +436,18 @@ def test_a_slow_upload_is_given_up(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("job", "limits", "sentence"), [
-    (misbehaving.endless, Limits(judge_s=0.2), "exceeded 0.2 s"),
+    (misbehaving.endless, Limits(assess_s=0.2), "exceeded 0.2 s"),
     (misbehaving.greedy, Limits(memory_mb=500), "exceeded 500 MB of memory"),
 ])  # fmt: skip
 def test_a_log_that_takes_too_much_is_given_up(tmp_path, monkeypatch, job, limits, sentence):
-    monkeypatch.setattr(uploads, "judge", job)
+    monkeypatch.setattr(uploads, "assess", job)
     monkeypatch.setattr(uploads, "LOADS", ())
     with pytest.raises(Refused, match=sentence) as why:
         take(Flights(str(tmp_path / "fleet.db")), limits, b"a")
     assert why.value.code == 422 and str(why.value).startswith("a.bin: ")
 
 
-def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
+def test_what_a_killed_server_had_received_is_assessed_by_the_next(tmp_path):
     flights = Flights(str(tmp_path / "fleet.db"))
     killed = flights.folder("incoming") / "run-killed" / "one"
     killed.mkdir(parents=True)
@@ -465,15 +465,15 @@ def test_what_a_killed_server_had_received_is_judged_by_the_next(tmp_path):
 
 
 def kept(flights):
-    """Names of the logs that wait for being judged."""
+    """Names of the logs that wait for being assessed."""
     return sorted(json.loads(note.read_text())["name"] for note in flights.folder("incoming").glob("run-*/*/complete.json"))
 
 
-def run_uploads(flights, action, told=lambda row: None, trouble=lambda text: None, limits=None):
+def run_uploads(flights, action, reported=lambda row: None, trouble=lambda text: None, limits=None):
     """What `action(uploads)` comes to while a server takes uploads."""
 
     async def run():
-        here = Uploads(flights, limits or Limits(), told, trouble)
+        here = Uploads(flights, limits or Limits(), reported, trouble)
         here.start()
         try:
             return await action(here)
@@ -493,8 +493,8 @@ async def until(condition):
 
 @pytest.fixture
 def quick(tmp_path, monkeypatch):
-    """Flights that are judged at once, and what a failure is tried again after."""
-    monkeypatch.setattr(uploads, "judge", misbehaving.while_full)
+    """Flights that are assessed at once, and what a failure is tried again after."""
+    monkeypatch.setattr(uploads, "assess", misbehaving.while_full)
     monkeypatch.setattr(uploads, "LOADS", ())
     monkeypatch.setattr(uploads, "AGAIN_S", 0.05)
     return Flights(str(tmp_path / "fleet.db"))
@@ -549,7 +549,7 @@ def test_what_the_store_does_not_take_is_kept_and_tried_again(quick, monkeypatch
     assert kept(quick) == [] and [row["name"] for row in rows] == ["a.bin"] and "/srv" not in "".join(said)
 
 
-def test_a_log_that_waits_is_judged_at_once_when_it_is_sent_again(quick, monkeypatch):
+def test_a_log_that_waits_is_assessed_at_once_when_it_is_sent_again(quick, monkeypatch):
     monkeypatch.setattr(uploads, "AGAIN_S", 60.0)
     full = quick.page("full").with_suffix("")
     full.touch()
@@ -564,8 +564,8 @@ def test_a_log_that_waits_is_judged_at_once_when_it_is_sent_again(quick, monkeyp
     assert new and (row["name"], row["known_as"]) == ("again.bin", "a.bin") and kept(quick) == []
 
 
-def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch):
-    monkeypatch.setattr(uploads, "judge", misbehaving.endless)
+def test_stopping_a_server_leaves_what_it_assesses_to_the_next(quick, monkeypatch):
+    monkeypatch.setattr(uploads, "assess", misbehaving.endless)
 
     async def action(here):
         sent = asyncio.create_task(here.take("a.bin", None, body(b"a log")))
@@ -577,7 +577,7 @@ def test_stopping_a_server_leaves_what_it_judges_to_the_next(quick, monkeypatch)
 
     run_uploads(quick, action)
     assert kept(quick) == ["a.bin"]
-    monkeypatch.setattr(uploads, "judge", misbehaving.while_full)
+    monkeypatch.setattr(uploads, "assess", misbehaving.while_full)
     rows = []
     run_uploads(quick, lambda here: until(lambda: rows), rows.append)
     assert [row["name"] for row in rows] == ["a.bin"] and kept(quick) == []
@@ -602,7 +602,7 @@ def test_what_a_next_start_cannot_take_over_stays(quick, monkeypatch):
 
 
 def test_a_process_that_dies_once_refuses_no_log(quick, monkeypatch):
-    monkeypatch.setattr(uploads, "judge", misbehaving.dies_once)
+    monkeypatch.setattr(uploads, "assess", misbehaving.dies_once)
     row, new = run_uploads(quick, lambda here: here.take("a.bin", None, body(b"a log")))
     assert new and row["name"] == "a.bin"
 
@@ -617,7 +617,7 @@ def test_many_uploads_at_once_wait_for_their_turn(quick):
     assert quick.rows(1)["total"] == 200
 
 
-def test_who_has_waited_too_long_for_a_turn_is_told_so(quick, monkeypatch):
+def test_who_has_waited_too_long_for_a_turn_is_reported_so(quick, monkeypatch):
     monkeypatch.setattr(uploads, "PATIENCE_S", 0.05)
     monkeypatch.setattr(uploads, "RECEIVING", 1)
 
@@ -644,15 +644,15 @@ def test_a_page_that_cannot_be_written_is_no_fault_of_the_log(served, monkeypatc
 
 
 def test_an_answer_is_made_of_its_json_again():
-    told = hexa_diagnosis().to_dict()
-    again = Diagnosis.from_dict(json.loads(json.dumps(told)))
-    assert again.to_json() == json.dumps(told, indent=1)
+    reported = hexa_diagnosis().to_dict()
+    again = Diagnosis.from_dict(json.loads(json.dumps(reported)))
+    assert again.to_json() == json.dumps(reported, indent=1)
     assert "rotor 3" in page(again)
     with pytest.raises(ConfigError, match="diagnose the log again"):
-        Diagnosis.from_dict({**told, "schema": 1})
+        Diagnosis.from_dict({**reported, "schema": 1})
 
 
-# What pages are told
+# What pages receive
 
 
 def frames(text):
@@ -665,7 +665,7 @@ def frames(text):
     return found
 
 
-def told(hub, after=""):
+def reported(hub, after=""):
     """What somebody hears at once who comes with the identity of the last message that he has."""
 
     async def run():
@@ -685,16 +685,16 @@ def test_who_comes_back_hears_what_he_missed_and_no_more():
     hub = Hub(lambda: {"all": True})
     for number in range(5):
         hub.publish("tick", number)
-    ((last, kind, data),) = told(hub)
+    ((last, kind, data),) = reported(hub)
     assert (kind, data) == ("state", {"all": True})
     hub.publish("tick", 5)
     hub.publish("tick", 6)
-    assert [(kind, data) for _, kind, data in told(hub, last)] == [("tick", 5), ("tick", 6)]
+    assert [(kind, data) for _, kind, data in reported(hub, last)] == [("tick", 5), ("tick", 6)]
     for stale in ("elsewhere-3", "x", last + "9" * 12, last.split("-")[0] + "-"):
-        assert [kind for _, kind, _ in told(hub, stale)] == ["state"]
+        assert [kind for _, kind, _ in reported(hub, stale)] == ["state"]
     for number in range(RECENT + 1):
         hub.publish("tick", number)
-    assert [kind for _, kind, _ in told(hub, last)] == ["state"], "too much was missed"
+    assert [kind for _, kind, _ in reported(hub, last)] == ["state"], "too much was missed"
 
 
 def test_a_stream_ends_when_the_server_does():
@@ -714,7 +714,7 @@ def test_a_long_flight_stays_in_view():
         band.add(0.2 * k, None if 500 < k < 510 else one)
     times = [row[0] for row in band.rows]
     assert len(band.rows) < 2 * live.POINTS and times[0] == 0.0 and times[-1] > 3990.0
-    assert sum(len(row) == 1 for row in band.rows) == 1, "one gap where nothing was judged"
+    assert sum(len(row) == 1 for row in band.rows) == 1, "one gap where nothing was assessed"
 
 
 class Failing:
@@ -781,7 +781,7 @@ def test_the_names_of_the_api_are_those_of_the_command():
 
 
 def test_a_flight_heard_over_a_link_is_listed_when_it_has_ended(tmp_path):
-    """As heard from a log here: which source it is makes no difference to what is judged."""
+    """As heard from a log here: which source it is makes no difference to what is assessed."""
     flights, rows = Flights(str(tmp_path / "fleet.db")), []
     store_writer = flights.store_writer(rows.append, pytest.fail)
     feed = live.Feed(store_writer.keep)

@@ -31,10 +31,10 @@ def fill(flights):
         (HEALTHY, "well.bin", well, "2026-05-02T10:00:00.000Z", 600.0),
         (OLD, "old.bin", None, None, 5.0),
     ):
-        told = answer.to_dict() if answer else {"schema": 1}
+        reported = answer.to_dict() if answer else {"schema": 1}
         flights.keep(Entry(
             hash, "", name, 1, identity="uid 1" if answer else "", called="Quad <7>", utc=utc, duration_s=duration, frame="hexa X",
-            rotors=6, verdict=told.get("verdict", "inconclusive"), headline=told.get("headline", ""), diagnosis=told,
+            rotors=6, verdict=reported.get("verdict", "inconclusive"), headline=reported.get("headline", ""), diagnosis=reported,
             trim={"voltage": 12.0},
         ))  # fmt: skip
     flights.page(FAULT).write_text("<html><body>\nas it was written</body></html>")
@@ -270,7 +270,7 @@ def test_what_a_killed_deletion_left_is_finished_at_the_next_start(tmp_path):
     assert sorted(p.name for p in again.folder("").glob("*.*")) == [f"{FAULT}.html"]
 
 
-def test_a_flight_that_is_being_judged_is_not_deleted_and_a_deleted_one_is_judged_again(made, monkeypatch):
+def test_a_flight_that_is_being_assessed_is_not_deleted_and_a_deleted_one_is_assessed_again(made, monkeypatch):
     client, flights, _ = made
     waiting = client.app._app.state.uploads
     first = send(client, "a.bin.xz", SAMPLE.read_bytes())

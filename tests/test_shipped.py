@@ -1,4 +1,4 @@
-"""Machine code that comes with the package: only of its definitions, only for this computer, and enough to judge flights without JAX."""
+"""Machine code that comes with the package: only of its definitions, only for this computer, and enough to assess flights without JAX."""
 
 import json
 import os
@@ -37,17 +37,17 @@ def test_code_of_another_definition_or_computer_never_runs(folder, tmp_path, mon
     def found(change):
         place = tmp_path / str(len(list(tmp_path.iterdir())))
         shutil.copytree(folder, place)
-        told = json.loads((place / shipped.DEFINITIONS).read_text())
-        change(told["engine"], place)
-        (place / shipped.DEFINITIONS).write_text(json.dumps(told))
+        reported = json.loads((place / shipped.DEFINITIONS).read_text())
+        change(reported["engine"], place)
+        (place / shipped.DEFINITIONS).write_text(json.dumps(reported))
         monkeypatch.setattr(shipped, "FOLDER", place)
         return ENGINE._shipped()
 
-    assert found(lambda told, place: None)
-    assert found(lambda told, place: told.update(digest="0" * 64)) is None
-    assert found(lambda told, place: told.update(target="plan9 vax")) is None
-    assert found(lambda told, place: [path.unlink() for path in place.glob("engine*.so")]) is None
-    assert found(lambda told, place: [path.write_bytes(b"of somebody else") for path in place.glob("engine*.so")]) is None
+    assert found(lambda reported, place: None)
+    assert found(lambda reported, place: reported.update(digest="0" * 64)) is None
+    assert found(lambda reported, place: reported.update(target="plan9 vax")) is None
+    assert found(lambda reported, place: [path.unlink() for path in place.glob("engine*.so")]) is None
+    assert found(lambda reported, place: [path.write_bytes(b"of somebody else") for path in place.glob("engine*.so")]) is None
     monkeypatch.setattr(shipped, "FOLDER", tmp_path / "nowhere")
     assert ENGINE._shipped() is None
 
@@ -115,7 +115,7 @@ def without(place, *arguments, **env):
 
 
 @needs_compiler
-def test_flights_are_judged_without_jax_scipy_and_a_compiler(folder):
+def test_flights_are_assessed_without_jax_scipy_and_a_compiler(folder):
     done = without(folder, "diagnose", str(SAMPLE), "--json", CC="nonesuch")
     assert done.returncode == 1, done.stderr
     assert json.loads(done.stdout)["verdict"] == "fault"

@@ -88,7 +88,7 @@ def test_a_campaign_answers_from_memory_what_diagnose_answers_to_the_file(logs, 
     data = logbook.log(one, numbers, record)
     assert data == path.read_bytes()
     row, answer = open_world._row(7, one, numbers, record), rw.diagnose(path)
-    wanted = open_score.judged(one, answer)
+    wanted = open_score.assessed(one, answer)
     assert {key: row[key] for key in wanted} == wanted and answer.events
     assert (row["verdict"], row["headline"]) == (answer.verdict, answer.headline)
     assert row["airborne_s"] == answer.flight["airborne_s"][1] - answer.flight["airborne_s"][0]
@@ -134,8 +134,8 @@ def test_the_log_does_not_hold_the_truth(logs, autopilot):
     log, about, series = logs[autopilot]
     text = log.read_bytes().decode("latin-1").lower()
     assert not re.findall(r"truth|theta|loss|(?<!de)fault|sim_", text)
-    told = json.loads(about.read_text())
-    assert told["faults"][0]["rotor"] == 3 and told["largest_loss"] == [0, 0, 0.4, 0, 0, 0] and told["crashed_s"] is None
+    reported = json.loads(about.read_text())
+    assert reported["faults"][0]["rotor"] == 3 and reported["largest_loss"] == [0, 0, 0.4, 0, 0, 0] and reported["crashed_s"] is None
     columns = np.genfromtxt(series, delimiter=",", names=True)
     began = columns["time_s"][np.argmax(columns["loss_3"] > 0.1)]
     assert began == pytest.approx(25.0, abs=0.03) and columns["loss_3"][-1] == 0.4 and columns["loss_2"].max() == 0

@@ -34,14 +34,14 @@ def test_full_load_is_full_current_and_nothing_at_rest():
 
 
 def test_the_voltage_of_the_esc_is_the_same_with_and_without_friction():
-    told, theta = np.linspace(0.2, 1.0, 9), np.full(9, 0.2)
+    reported, theta = np.linspace(0.2, 1.0, 9), np.full(9, 0.2)
     for friction in (0.0, 0.1, 0.4):
-        w = np.asarray(motor.slowed(told, theta, np.full(9, friction)))
+        w = np.asarray(motor.slowed(reported, theta, np.full(9, friction)))
         volts = [
             motor.COPPER * ((1.0 - motor.IDLE) * v * v * 0.8 + motor.IDLE + rubs) + (1.0 - motor.COPPER) * v
-            for v, rubs in ((told, 0.0), (w, friction))
+            for v, rubs in ((reported, 0.0), (w, friction))
         ]
-        assert volts[0] == pytest.approx(volts[1], abs=1e-12) and (w <= told + 1e-12).all()
+        assert volts[0] == pytest.approx(volts[1], abs=1e-12) and (w <= reported + 1e-12).all()
 
 
 @pytest.mark.parametrize("kind, strength", [("loss", 0.3), ("weak motor", 0.3), ("bearing", 0.2)])

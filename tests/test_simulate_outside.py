@@ -60,7 +60,7 @@ def test_a_board_askew_sees_the_same_vehicle_from_its_own_axes():
     straight, askew = plan(asked("hexa-x")).craft, plan(asked("hexa-x", airframe=axes)).craft
     M = askew.mount
     assert M @ M.T == pytest.approx(np.eye(3)) and M.T @ straight.J @ M == pytest.approx(askew.J)
-    # The same motion, told in both axes.
+    # The same motion, reported in both axes.
     v, omega = np.array([3.0, -1.0, 0.5]), np.array([0.4, -0.2, 0.9])
     of_frame = LEVEL._replace(v=v, omega=omega)
     of_board = LEVEL._replace(v=M.T @ v, omega=M.T @ omega)
@@ -115,8 +115,8 @@ def test_rotors_as_built_are_within_their_spread_and_the_autopilot_does_not_know
 def test_an_autopilot_that_believes_in_another_curve_knows_what_carries_it():
     """Its hover throttle, through the curve that it believes in and then the true one, is the weight."""
     made = plan(asked(airframe={"expo": 0.1, "believed_expo": 0.65, "thrust_to_weight": 2.0}))
-    told = float(control.drive(0.65, float(made.pilot.hover)))
-    assert float(dynamics.thrust_share(0.1, told)) == pytest.approx(0.5)
+    reported = float(control.drive(0.65, float(made.pilot.hover)))
+    assert float(dynamics.thrust_share(0.1, reported)) == pytest.approx(0.5)
 
 
 def test_against_a_push_the_vehicle_leans_and_holds_and_its_payload_falls_off_once():

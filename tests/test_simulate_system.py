@@ -58,18 +58,18 @@ def test_noise_is_the_plants_own_and_follows_from_the_seed():
 
 
 def test_a_method_finds_the_loss_in_steps_of_any_length():
-    """Every row has a length of its own; a method that is told so finds the loss, one that is not does not."""
+    """Every row has a length of its own; a method that is given it finds the loss, one that is not does not."""
     rng, T = np.random.default_rng(0), 3000
     theta = np.zeros((T, 2))
     theta[T // 3 :, 1] = 0.4
     made = rw.simulate_system(Slider(), inputs(T), theta, rng.uniform(0.002, 0.05, T))
     method = rw.estimators.EKF(Slider(), 0.01, theta_walk=1e-3)
-    told = rw.run(method, made.u, made.y, dt=made.dt)[1].theta[-500:].mean(axis=0)
-    assert told == pytest.approx([0.0, 0.4], abs=0.05)
-    untold = rw.run(method, made.u, made.y)[1].theta[-500:].mean(axis=0)
-    assert np.abs(untold - [0.0, 0.4]).max() > 0.1
+    reported = rw.run(method, made.u, made.y, dt=made.dt)[1].theta[-500:].mean(axis=0)
+    assert reported == pytest.approx([0.0, 0.4], abs=0.05)
+    unreported = rw.run(method, made.u, made.y)[1].theta[-500:].mean(axis=0)
+    assert np.abs(unreported - [0.0, 0.4]).max() > 0.1
     same = rw.run(method, made.u, made.y, dt=0.01)[1].theta[-500:].mean(axis=0)
-    np.testing.assert_allclose(same, untold, atol=1e-9)
+    np.testing.assert_allclose(same, unreported, atol=1e-9)
 
 
 def test_a_controller_sees_what_was_measured_last_and_when():

@@ -17,7 +17,7 @@ from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.drift import many
 from rotorwatch.engine.drift.trim import Trim
-from rotorwatch.engine.motion.tick_table import JUDGE
+from rotorwatch.engine.motion.tick_table import ASSESS
 from rotorwatch.flight import Flight
 
 QUAD = np.array([[-1.0, 1, 1, -1], [1, -1, 1, -1], [1, 1, -1, -1], [1, 1, 1, 1]])
@@ -42,7 +42,7 @@ def flight(B=QUAD, rotor=1, loss=0.0, rise=25.0, begins=30.0, seen=0.0, drift=(0
     biases[:, :3] += np.outer(grown, drift)
     biases[:, 2] += 0.5 * swing * B.shape[1]
     ticks = SimpleNamespace(
-        time=time, thrust=thrust, mode=np.full(time.size, JUDGE), valid=np.ones((time.size, 4), bool),
+        time=time, thrust=thrust, mode=np.full(time.size, ASSESS), valid=np.ones((time.size, 4), bool),
         upset=np.zeros(time.size, bool), dt=DT, curve=(0.5, 0.1),
     )  # fmt: skip
     return SimpleNamespace(theta=known, biases=biases, pushed=np.zeros(time.size, bool)), ticks
@@ -92,7 +92,7 @@ def test_what_wind_may_have_done_as_well_is_not_certain():
 def test_growth_is_looked_for_between_take_offs_and_knocks():
     """What comes with a knock is part of the trim that is learned after it."""
     out, ticks = flight(loss=0.35, begins=42.0, rise=2.0)
-    ticks.mode[(ticks.time > 41.0) & (ticks.time < 45.0)] = JUDGE - 1
+    ticks.mode[(ticks.time > 41.0) & (ticks.time < 45.0)] = ASSESS - 1
     assert trim.growth(trim.look(out, ticks, QUAD)) is None
 
 
@@ -140,7 +140,7 @@ def test_a_loss_is_over_where_its_trim_is():
 
 def test_the_answer_says_that_it_grew_and_how_much_it_is_now():
     (event,) = slow.join((), found(loss=0.4))
-    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), judged_s=80.0))
+    end = conclude(Evidence((event,), 4, hidden=np.full(4, 0.02), assessed_s=80.0))
     assert end.verdict == "fault" and end.rotors[0].status == "degraded" and end.rotors[0].loss == event.loss[0]
     for text in (end.headline, end.reason):
         assert f"gradually from {event.onset_s:.2f} s to {event.extra['grew_until_s']:.2f} s" in text
@@ -151,7 +151,7 @@ def test_growth_that_is_not_certain_makes_its_rotor_a_suspect():
     (spell,) = slow.suspected(grown)
     assert (spell.rotors, spell.onset_s, spell.end_s) == ((1,), grown.start_s, grown.looked_s)
     assert spell.interval == grown.interval and spell.log_odds == pytest.approx(np.log(5.0))
-    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), judged_s=80.0, claims=ledger.open_claims((spell,), ())))
+    end = conclude(Evidence((), 4, hidden=np.full(4, 0.02), assessed_s=80.0, claims=ledger.open_claims((spell,), ())))
     assert end.verdict == "ambiguous" and [r.status for r in end.rotors] == ["suspect", "healthy", "healthy", "healthy"]
     assert ledger.open_claims((spell,), (hexa_event(),)) == () == slow.suspected(None)
 
@@ -167,7 +167,7 @@ def test_a_link_says_it_while_the_vehicle_flies():
     seen = []
     for a in range(0, ticks.time.size, 50):
         part = slice(a, a + 50)
-        rows = (ticks.time[part], np.full(50, JUDGE, np.int32), np.ones(50, bool), out.biases[part, :3], ticks.thrust[part])
+        rows = (ticks.time[part], np.full(50, ASSESS, np.int32), np.ones(50, bool), out.biases[part, :3], ticks.thrust[part])
         ENGINE.call(many.pass_on, state, craft, DT, 50, *map(np.ascontiguousarray, rows))
         case._look_at_trim(diagnoser)
         seen.append(case.grown is not None and case.grown.certain)

@@ -1,4 +1,4 @@
-"""Outputs logged at 1 to 8 Hz are judged, at ticks they can fill."""
+"""Outputs logged at 1 to 8 Hz are assessed, at ticks they can fill."""
 
 from dataclasses import replace
 from functools import cache
@@ -58,7 +58,7 @@ def test_a_loss_is_found_and_named(hz, within):
     assert event.rotors == (3,) and not event.alternatives
     assert 70.0 < event.detected_s < 70.0 + within and abs(event.loss[0] - 0.4) < 0.1
     assert event.interval[0][0] < 0.4 < event.interval[0][1]
-    assert any("Hz are judged every" in a for a in answer.assumptions)
+    assert any("Hz are assessed every" in a for a in answer.assumptions)
 
 
 @pytest.mark.parametrize("hz", [5.0, 2.0, 1.1])
@@ -68,15 +68,15 @@ def test_a_healthy_flight_stays_healthy(hz):
 
 
 @pytest.mark.parametrize("hz, length", [(1.1, 1.0)])
-def test_a_slow_link_is_judged_while_it_flies_and_says_what_cannot_be_seen(hz, length):
-    flight, told = thinned(flown(0.4), hz), []
-    replay = Replay(flight, Watched("one", told.append))
+def test_a_slow_link_is_assessed_while_it_flies_and_says_what_cannot_be_seen(hz, length):
+    flight, reported = thinned(flown(0.4), hz), []
+    replay = Replay(flight, Watched("one", reported.append))
     while replay.poll():
         pass
-    (limit,) = [alert["text"] for alert in told if alert["type"] == "notice"]
-    assert f"judged every {length:g} s" in limit and f"shows in 2 of these, {2 * length:g} s" in limit
+    (limit,) = [alert["text"] for alert in reported if alert["type"] == "notice"]
+    assert f"assessed every {length:g} s" in limit and f"shows in 2 of these, {2 * length:g} s" in limit
     assert limit in diagnose(flight).assumptions
-    (event,) = [alert["event"] for alert in told if alert["type"] == "event" and alert["state"] == "final"]
+    (event,) = [alert["event"] for alert in reported if alert["type"] == "event" and alert["state"] == "final"]
     assert event["rotors"] == [3] and 70.0 < event["detected_s"] < 78.0
 
 

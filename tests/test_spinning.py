@@ -54,9 +54,9 @@ def test_every_rotor_that_went_off_is_named_and_nobody_else(losses, hz):
     diagnosis = answer(losses, hz)
     assert diagnosis.verdict == "fault"
     truth = sorted((BEGINS_S + at, rotor + 1) for at, who in losses for rotor in who)
-    told = sorted((e.rotors[0], e.onset_s) for e in diagnosis.events if e.kind == LOSS)
-    assert [rotor for rotor, _ in told] == sorted(rotor for _, rotor in truth)
-    for rotor, onset in told:
+    reported = sorted((e.rotors[0], e.onset_s) for e in diagnosis.events if e.kind == LOSS)
+    assert [rotor for rotor, _ in reported] == sorted(rotor for _, rotor in truth)
+    for rotor, onset in reported:
         assert abs(onset - next(at for at, who in truth if who == rotor)) < 0.3
     assert all(not e.alternatives and e.end_s is None for e in diagnosis.events if e.kind == LOSS)
     assert not any(e.kind == CONTACT for e in diagnosis.events)
@@ -116,12 +116,12 @@ def board(tmp_path_factory):
     """(events, verdict) of a flight by the C library in single precision, fed by a loop of 100 Hz. All have the same rates: one library."""
     folder = tmp_path_factory.mktemp("board")
 
-    def told(losses):
+    def reported(losses):
         flight, vehicle = flown(losses)
         events, verdict, _ = onboard_law.events_in_c(folder, onboard_law.on_board(flight, 100.0, vehicle), single=True)
         return [dict(zip(("kind", "onset", "detected", "end", "rotors", "loss", "lower"), e)) for e in events], verdict
 
-    return told
+    return reported
 
 
 @pytest.mark.parametrize("losses", [ONE, THEN_OPPOSITE, AT_ONCE, OVER])
@@ -213,7 +213,7 @@ def test_the_balance_of_a_spinning_body_tells_every_set(off, power):
     assert each.sum() == pytest.approx(1.0)
 
 
-def test_a_rotor_that_comes_back_is_told():
+def test_a_rotor_that_comes_back_is_reported():
     p, _, _ = chain_of([()] * 101 + [(2,)] * 199 + [()] * 300, seed=2)
     assert p[:100, 2].max() < 0.1 and p[130:300, 2].min() > 0.9 and p[340:, 2].max() < 0.1
 

@@ -1,4 +1,4 @@
-"""Losses that grew in a step, and cut-outs that repeat, as they are told."""
+"""Losses that grew in a step, and cut-outs that repeat, as they are reported."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from rotorwatch.diagnose import diagnose
 from test_diagnose import HEALTHY, flight, losses, sample, weakened
 
 
-def test_a_loss_that_grew_in_a_step_is_told_with_both_sizes():
+def test_a_loss_that_grew_in_a_step_is_reported_with_both_sizes():
     grew = weakened(weakened(flight(sample(HEALTHY)), 2, 0.25, ((45.0, 1e9),)), 2, 0.55, ((75.0, 1e9),))
     answer = diagnose(grew)
     (event,) = losses(answer)
@@ -22,13 +22,13 @@ def test_a_loss_of_one_size_has_no_step():
     assert "first_loss" not in event.extra and "stepped_s" not in event.extra
 
 
-def test_cut_outs_that_repeat_are_told_with_their_number_and_period():
+def test_cut_outs_that_repeat_are_reported_with_their_number_and_period():
     spans = tuple((36.0 + 28.0 * k, 46.0 + 28.0 * k) for k in range(3))
     answer = diagnose(weakened(flight(sample(HEALTHY)), 2, 0.25, spans))
     assert len(losses(answer)) == 3 and "(the first of 3 events, one every 28." in answer.headline
 
 
-def test_cut_outs_at_any_time_are_told_with_the_time_they_took():
+def test_cut_outs_at_any_time_are_reported_with_the_time_they_took():
     spans = ((36.0, 46.0), (58.0, 68.0), (100.0, 110.0))
     answer = diagnose(weakened(flight(sample(HEALTHY)), 2, 0.25, spans))
     assert len(losses(answer)) == 3 and "(the first of 3 events in 64 s)" in answer.headline

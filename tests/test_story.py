@@ -56,11 +56,11 @@ def lost(cause: str, **more) -> Event:
     return hexa_event(kind="loss_of_control", **{**given, **more, "extra": extra | more.get("extra", {})})
 
 
-def told(*events: Event, main: int | None = None) -> list[str]:
+def reported(*events: Event, main: int | None = None) -> list[str]:
     return [s.text for s in story.narrate(events, main, 4, PLACES, HOPS)]
 
 
-def test_a_crash_is_told_from_its_flight_to_the_terminal():
+def test_a_crash_is_reported_from_its_flight_to_the_terminal():
     answer = crash()
     lines = printed(answer).splitlines()
     first = lines.index("What happened")
@@ -115,11 +115,11 @@ def test_what_is_said_beside_a_crash_moves_no_mark_of_its_picture():
     from rotorwatch.answer import picture
 
     answer = crash()
-    told = [replace(e, kind="autopilot_report", rotors=(), loss=(), interval=(), alternatives=(), onset_s=t, end_s=None)
+    reported = [replace(e, kind="autopilot_report", rotors=(), loss=(), interval=(), alternatives=(), onset_s=t, end_s=None)
             for e in answer.events[:1] for t in (1.0, 59.0)]  # fmt: skip
     flight, craft = Flight("log", "", {}, 60.0), airframes.named("ardupilot-quad-x")
     hops = tuple(tuple(hop) for hop in answer.flight["hops"])
-    given = [picture.compose(flight, craft, events, answer.main, hops) for events in (answer.events, (*answer.events, *told))]
+    given = [picture.compose(flight, craft, events, answer.main, hops) for events in (answer.events, (*answer.events, *reported))]
     assert given[0]["marks"] == given[1]["marks"] == answer.picture["marks"]
 
 
@@ -132,8 +132,8 @@ def test_what_is_said_beside_a_crash_moves_no_mark_of_its_picture():
         ("unknown", "No rotor fault was found: as far as the log shows, all 4 rotors followed their commands until 30.00 s."),
     ],
 )
-def test_to_exonerate_is_told_as_well(cause, said):
-    assert told(lost(cause), main=0) == [
+def test_to_exonerate_is_reported_as_well(cause, said):
+    assert reported(lost(cause), main=0) == [
         "Until 30.00 s the vehicle flew as commanded.",
         said,
         "Control was lost at 31.00 s, falling without thrust; the departure began at 30.00 s.",
@@ -143,20 +143,20 @@ def test_to_exonerate_is_told_as_well(cause, said):
 
 def test_a_loss_long_before_is_the_first_departure():
     weak = hexa_event(rotors=(2,), onset_s=20.0, detected_s=21.0)
-    said = told(weak, lost("rotor", rotors=(2,)), main=0)
+    said = reported(weak, lost("rotor", rotors=(2,)), main=0)
     assert said[0] == "Until 20.00 s the vehicle flew as commanded."
     assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
 
 
 def test_a_loss_that_is_not_why_control_was_lost_leaves_the_cause_in_the_story():
     weak = hexa_event(rotors=(2,), onset_s=20.0, detected_s=21.0)
-    said = told(weak, lost("disarmed"), main=0)
+    said = reported(weak, lost("disarmed"), main=0)
     assert said[1].startswith("At 20.00 s rotor 2 (rear left) lost ")
     assert said[2].endswith("All 4 rotors followed their commands until 30.00 s, when the motors were disarmed in flight.")
 
 
 def test_candidates_are_all_named():
-    said = told(lost("unknown", rotors=(1,), alternatives=((1,), (2,))), main=0)
+    said = reported(lost("unknown", rotors=(1,), alternatives=((1,), (2,))), main=0)
     assert said[1] == "At 30.00 s rotor 1 (front right) or rotor 2 (rear left) may have failed, or something else."
 
 
@@ -165,11 +165,11 @@ def test_an_impact_before_the_loss_was_certain_stays_last():
     assert [s.time_s for s in moments] == [30.0, 30.0, 30.0, 30.5]
 
 
-def test_how_it_ended_is_told_where_nothing_was_hit():
-    assert told(lost("knock", extra={"impact_s": None}))[-1] == "Control was regained at 33.00 s."
-    open_end = told(lost("knock", end_s=None, extra={"impact_s": None}))[-1]
+def test_how_it_ended_is_reported_where_nothing_was_hit():
+    assert reported(lost("knock", extra={"impact_s": None}))[-1] == "Control was regained at 33.00 s."
+    open_end = reported(lost("knock", end_s=None, extra={"impact_s": None}))[-1]
     assert open_end == "No impact was seen; control had not been regained by 60.00 s."
-    again = told(lost("knock", extra={"impact_s": None}), lost("knock", onset_s=40.0, detected_s=41.0))[-1]
+    again = reported(lost("knock", extra={"impact_s": None}), lost("knock", onset_s=40.0, detected_s=41.0))[-1]
     assert again.endswith("It was lost again at 40.00 s.")
 
 
@@ -181,7 +181,7 @@ def test_a_log_that_is_not_believed_says_nothing_of_its_rotors():
 
 
 def test_a_flight_under_control_has_no_story():
-    assert told(hexa_event()) == []
+    assert reported(hexa_event()) == []
 
 
 @pytest.mark.parametrize("case", ["climb", "disarmed"])

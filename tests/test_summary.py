@@ -79,7 +79,7 @@ def test_a_tenth_is_a_tenth():
     assert {0.25, 0.5} <= set(summary.LOSS_EDGES)
 
 
-def test_winds_are_told_by_their_edges():
+def test_winds_are_reported_by_their_edges():
     d = {name: np.array(["x"] * 5, object) for name in ("frame", "autopilot", "profile", "trajectory", "fault")}
     labels = summary._labels(
         {

@@ -150,6 +150,6 @@ def test_the_command_prints_a_table_json_and_a_picture(run, tmp_path):
     assert code == 0 and "full control" in out and "taken as usual" in out and "out.svg" in err
     assert picture.read_text().count("<path") > 10
     code, out, _ = run("survive", "--vehicle", QUAD, "--loss", "0.3", "--json", "-q")
-    told = json.loads(out)
-    assert code == 0 and len(told["cases"]) == 10 and told["cases"][0]["verdict"] == FULL
-    assert told["healthy"]["rotors"] == [] and told["losses"] == [0.3]
+    reported = json.loads(out)
+    assert code == 0 and len(reported["cases"]) == 10 and reported["cases"][0]["verdict"] == FULL
+    assert reported["healthy"]["rotors"] == [] and reported["losses"] == [0.3]

@@ -60,7 +60,7 @@ def test_a_healthy_flight_has_few_lines_and_the_rest_is_asked_for():
     assert len(lines) <= 17 and max(map(len, short.splitlines())) <= 80
     assert short.index("HEALTHY") < short.index("rotor   where") < short.index("→") < short.index("--verbose")
     assert [line.split()[0] for line in lines if "at most 4 %" in line] == [str(k) for k in range(1, 7)]
-    for words in ("not judged\n", "ignored", "Detections by method", "took", "blind", "Thrust curve"):
+    for words in ("not assessed\n", "ignored", "Detections by method", "took", "blind", "Thrust curve"):
         assert words not in short
     for words in ("ignored", "Thrust curve", "read 0.12 s", "ardupilot-thrust-loss"):
         assert words in whole
@@ -72,5 +72,5 @@ def test_a_warning_that_is_about_the_answer_is_shown():
 
 
 def test_a_table_of_rotors_of_which_nothing_is_known_is_left_out():
-    nothing = rendered(terminal.diagnosis(hexa_diagnosis(events=(), judged_s=0.0)))
+    nothing = rendered(terminal.diagnosis(hexa_diagnosis(events=(), assessed_s=0.0)))
     assert "unobservable" not in nothing and "Not assessed: hardly any of the log is flight." in nothing

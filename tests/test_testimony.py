@@ -56,26 +56,26 @@ def test_from_takeoff_it_speaks_against_the_others_and_against_earlier_flights()
     whole, broken = heard(flown([0.8, 0.5, 1.2, 0.4])), heard(flown([0.8, 0.5, 4.0, 0.4]))
     most = np.log(testimony.SHARE / testimony.ELSE[1])
     assert (testimony.from_takeoff(whole) < 0.3).all()
-    told = testimony.from_takeoff(broken)
-    assert 0.3 * most < told[2] < most and (np.delete(told, 2) < 0.0).all()
+    reported = testimony.from_takeoff(broken)
+    assert 0.3 * most < reported[2] < most and (np.delete(reported, 2) < 0.0).all()
     past = earlier([0.8, 0.5, 1.2, 0.4], [0.82, 0.48, 1.25, 0.41], [0.79, 0.52, 1.1, 0.4])
-    assert testimony.from_takeoff(broken, past)[2] > told[2]
+    assert testimony.from_takeoff(broken, past)[2] > reported[2]
     usual = earlier([0.8, 0.5, 4.0, 0.4], [0.82, 0.48, 4.2, 0.41], [0.79, 0.52, 3.9, 0.4])
     assert testimony.from_takeoff(broken, usual)[2] < -0.4  # this vehicle was always so
 
 
-def compared(told):
+def compared(reported):
     none = np.zeros(0)
     rows = [("loss", (0,), 30.0), ("nothing", (), 0.0), ("loss", (1,), 30.0)]
     rows = tuple(odds.Row(name, "", who, who, log_p, none, none) for name, who, log_p in rows)
-    return odds.Comparison(30.0, (1,), True, (), "estimator", False, 4, rows, told)
+    return odds.Comparison(30.0, (1,), True, (), "estimator", False, 4, rows, reported)
 
 
-def test_a_pair_that_looks_alike_is_told_apart():
+def test_a_pair_that_looks_alike_is_reported_apart():
     without = compared(()).weighed()
     assert without.near() == [(2,)]
-    for told, rotor in (((MOST, LEAST, LEAST, LEAST), 1), ((LEAST, MOST, LEAST, LEAST), 2)):
-        claim = compared(told)
+    for reported, rotor in (((MOST, LEAST, LEAST, LEAST), 1), ((LEAST, MOST, LEAST, LEAST), 2)):
+        claim = compared(reported)
         found = claim.weighed()
         assert (found.claim > 0.95) == (rotor == 1) and (found.near() == []) == (rotor == 1)
         assert odds.read(claim.to_dict(), 4).weighed().claim == pytest.approx(found.claim, abs=1e-3)
@@ -92,10 +92,10 @@ def test_a_trim_from_takeoff_with_an_imbalance_is_a_propeller():
     theta = np.array([0.6])
     w = population._weak(B, 1, theta)[0] * [1.0, 1.0, 0.4]
 
-    def share(told):
-        found = population.weigh(hovering(w), B, told)
+    def share(reported):
+        found = population.weigh(hovering(w), B, reported)
         return {tuple(c["rotors"]): c["probability"] for c in found["causes"]}
 
-    plain, heard_, quiet = (share(told) for told in (0.0, np.array([-0.6, 2.2, -0.6, -0.6]), np.full(4, -0.6)))
+    plain, heard_, quiet = (share(reported) for reported in (0.0, np.array([-0.6, 2.2, -0.6, -0.6]), np.full(4, -0.6)))
     assert quiet[()] > plain[()] > heard_[()] and heard_[(2,)] > plain[(2,)] > quiet[(2,)]
     assert heard_[(2,)] > 0.9

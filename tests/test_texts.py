@@ -1,4 +1,4 @@
-"""What the pilot is told: once, again when it has become something else, and when it is over; few texts, the gravest first."""
+"""What the pilot is shown: once, again when it has become something else, and when it is over; few texts, the gravest first."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def loss(number=1, rotors=0b1, lost=0.3, width=0.05, end=LASTS, others=0, kind=L
 
 
 class Pilot:
-    """Reads what is told of the events that are there, ten times a second. heard: (time, severity, number of the event)."""
+    """Reads what is reported of the events that are there, ten times a second. heard: (time, severity, number of the event)."""
 
     def __init__(self, most=NOTICE):
         self.texts, self.most, self.now, self.heard = Texts(), most, 0.0, []
@@ -35,7 +35,7 @@ class Pilot:
             self.texts.look(list(events), len(events))
             place = self.texts.due(self.now, self.most)
             if place >= 0:
-                number = self.texts.told[place].number
+                number = self.texts.reported[place].number
                 self.heard.append((self.now, self.texts.tell(place, self.now), number))
         return self
 
@@ -44,19 +44,19 @@ class Pilot:
         return [severity for _, severity, _ in self.heard]
 
 
-def test_a_steady_loss_is_told_once_at_once():
+def test_a_steady_loss_is_reported_once_at_once():
     pilot = Pilot().flies(1.0).flies(60.0, loss())
     assert pilot.said == [WARNING] and pilot.heard[0][0] < 1.2
 
 
-def test_a_loss_that_wanders_within_its_interval_is_told_once():
+def test_a_loss_that_wanders_within_its_interval_is_reported_once():
     rng, pilot = np.random.default_rng(1), Pilot()
     for _ in range(300):
         pilot.flies(0.2, loss(lost=0.3 + 0.04 * (2.0 * rng.random() - 1.0)))
     assert pilot.said == [WARNING]
 
 
-def test_what_a_stuck_rotor_gives_is_told_again_when_it_is_another_thrust():
+def test_what_a_stuck_rotor_gives_is_reported_again_when_it_is_another_thrust():
     def stuck(gives):
         known = loss(lost=0.98, width=0.02)
         known.event.size = gives
@@ -66,21 +66,21 @@ def test_what_a_stuck_rotor_gives_is_told_again_when_it_is_another_thrust():
     assert Pilot().flies(10.0, stuck(1.94)).flies(30.0, stuck(3.3)).said == [CRITICAL, CRITICAL]
 
 
-def test_a_loss_that_moves_within_a_wide_interval_is_told_once():
+def test_a_loss_that_moves_within_a_wide_interval_is_reported_once():
     assert Pilot().flies(10.0, loss(lost=0.3)).flies(60.0, loss(lost=0.38, width=0.1)).said == [WARNING]
 
 
-def test_a_loss_that_passes_a_line_of_severity_within_its_interval_is_told_once():
+def test_a_loss_that_passes_a_line_of_severity_within_its_interval_is_reported_once():
     assert Pilot().flies(10.0, loss(lost=MATTERS - 0.01)).flies(60.0, loss(lost=MATTERS + 0.01)).said == [NOTICE]
 
 
-def test_a_loss_that_leaves_what_was_told_is_told_again():
+def test_a_loss_that_leaves_what_was_reported_is_reported_again():
     pilot = Pilot().flies(10.0, loss(lost=0.3)).flies(10.0, loss(lost=0.42))
     assert pilot.said == [WARNING, WARNING]
     assert pilot.flies(10.0, loss(lost=0.3, rotors=0b10)).said == [WARNING] * 3, "another rotor is accused"
 
 
-def test_what_is_taken_back_or_over_is_told_when_it_had_been_told():
+def test_what_is_taken_back_or_over_is_reported_when_it_had_been_reported():
     assert Pilot().flies(10.0, loss()).flies(10.0).said == [WARNING, INFO]
     assert Pilot().flies(10.0, loss()).flies(OVER_S, loss(end=9.0)).flies(10.0).said == [WARNING, INFO]
     assert Pilot().flies(10.0, loss()).flies(0.8 * OVER_S, loss(end=9.0)).said == [WARNING], "it may begin again"
@@ -90,7 +90,7 @@ def test_what_is_taken_back_or_over_is_told_when_it_had_been_told():
     assert pilot.said == [WARNING], "it came and went between two texts"
 
 
-def test_what_was_said_to_be_over_and_is_not_is_told_again():
+def test_what_was_said_to_be_over_and_is_not_is_reported_again():
     pilot = Pilot().flies(10.0, loss()).flies(OVER_S, loss(end=9.0)).flies(20.0, loss())
     assert pilot.said == [WARNING, INFO, WARNING]
 
@@ -122,10 +122,10 @@ def test_a_graver_loss_of_a_rotor_that_came_and_went_is_not_kept_waiting():
     assert pilot.said == [WARNING, INFO, CRITICAL] and pilot.heard[-1][0] < began + 0.2
 
 
-def test_what_is_not_asked_for_is_not_told():
+def test_what_is_not_asked_for_is_not_reported():
     assert Pilot(most=0).flies(30.0, loss(lost=0.9)).said == []
     assert Pilot(most=WARNING).flies(30.0, loss(lost=0.1)).flies(10.0).said == []
-    assert Pilot(most=WARNING).flies(30.0, loss(lost=0.3)).flies(10.0).said == [WARNING, INFO], "its end is told, too"
+    assert Pilot(most=WARNING).flies(30.0, loss(lost=0.3)).flies(10.0).said == [WARNING, INFO], "its end is reported, too"
     assert Pilot(most=INFO).flies(10.0, loss(lost=0.02)).said == [INFO]
 
 

@@ -78,7 +78,7 @@ def gusty(system, push, seed):
 
 
 def test_gusts_are_disturbances_and_no_losses():
-    """Where gusts have the size the filter was told of, losses are nearer to 0 than the plain filter's."""
+    """Where gusts have the size the filter was given, losses are nearer to 0 than the plain filter's."""
     system = rates_quad()
     share = 0.3
     method = ThreeStage(system, DT, disturbance_share=share)

@@ -11,7 +11,7 @@ from rotorwatch.engine.estimator import plant
 from rotorwatch.engine.estimator.model_error import Memory, Seen
 from rotorwatch.engine.estimator.noise import Noise
 from rotorwatch.engine.estimator.plant import THETA
-from rotorwatch.engine.intake.ticks import JUDGE, LEARN
+from rotorwatch.engine.intake.ticks import ASSESS, LEARN
 from rotorwatch.flight.vehicle import ThrustCurve
 from test_default_estimator import DT, KNOWN_NOISE, make
 from test_plant import QUAD
@@ -50,7 +50,7 @@ def test_a_bent_curve_is_the_derivative_of_the_thrust(expo, usual):
 @cache
 def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rotors=(0, 1)):
     """(outputs, carries) of a flight by a straight curve that is taken for a bent one: hover, from tick `turns` on a turn on the spot of
-    `turn` rad/s^2 and back, and from tick `fails` on rotors without so much of their thrust, made up for at once. Judged from `ready`
+    `turn` rad/s^2 and back, and from tick `fails` on rotors without so much of their thrust, made up for at once. Assessed from `ready`
     on."""
     quad, rng = make("ardupilot-quad-x"), np.random.default_rng(seed)
     B, gain = QUAD, N * np.array(plant.GAIN_MEAN[:3])
@@ -68,7 +68,7 @@ def flown(sd, loss=0.0, turn=1.2, seed=0, turns=150, fails=300, ready=READY, rot
     thrust = curve(commands) / unit
     y = thrust @ B.T + np.sqrt(KNOWN_NOISE[0]) * rng.standard_normal((TICKS, 4))
     zeros, full = np.zeros((TICKS, 2)), np.full(TICKS, 1.0 / unit)
-    mode = np.where(when < ready, LEARN, JUDGE)
+    mode = np.where(when < ready, LEARN, ASSESS)
     motion = [zeros, yaw, np.full(TICKS, float(N)), zeros, rates, zeros]
     u = np.column_stack([thrust, *motion, full, np.full(TICKS, ASSUMED), np.full(TICKS, sd), np.full(TICKS, np.nan), mode, when == 0])
     return quad.over(u.astype(float), y, np.ones((TICKS, 4), bool))

@@ -54,7 +54,7 @@ def test_tick_length_follows_the_rate_of_the_commands(rate, dt):
 def test_ticks_longer_than_a_tenth_of_a_second_are_slow_and_it_is_said_how_many_an_announcement_takes():
     assert tick_table.slow(10.0, 0.1, 8.0) == ""
     said = tick_table.slow(5.0, 0.2, 8.0)
-    assert "judged every 0.2 s" in said
+    assert "assessed every 0.2 s" in said
     assert f"shows in {announcement.TICKS} of these, {announcement.TICKS * 0.2:g} s" in said
 
 
@@ -89,12 +89,12 @@ def test_samples_that_are_not_valid_do_not_count():
 def test_an_even_turn_up_has_exactly_its_slope_and_the_load_is_one(gyro_rate):
     flight, thrust = log(gyro_rate=gyro_rate)
     table = make(flight, thrust)
-    judged = table.valid.all(axis=1)
-    assert judged.sum() > 0.9 * (table.mode > tick_table.GROUND).sum() > 0
-    np.testing.assert_allclose(table.rate_dot[judged], np.tile(SLOPE, (judged.sum(), 1)), atol=1e-9)
+    assessed = table.valid.all(axis=1)
+    assert assessed.sum() > 0.9 * (table.mode > tick_table.GROUND).sum() > 0
+    np.testing.assert_allclose(table.rate_dot[assessed], np.tile(SLOPE, (assessed.sum(), 1)), atol=1e-9)
     centre = table.command_time + tick_table.LAG_S
-    np.testing.assert_allclose(table.rate[judged], centre[judged, None] * SLOPE, atol=1e-9)
-    np.testing.assert_allclose(table.load[judged], 1.0, rtol=1e-9)
+    np.testing.assert_allclose(table.rate[assessed], centre[assessed, None] * SLOPE, atol=1e-9)
+    np.testing.assert_allclose(table.load[assessed], 1.0, rtol=1e-9)
 
 
 def test_side_forces_are_means_of_the_half_second_that_has_passed():
@@ -122,14 +122,14 @@ def test_the_unit_of_thrust_is_the_hover_command():
     assert np.all(make(flight, thrust, hover=0.37).hover == 0.37)
 
 
-def test_modes_ground_learning_judging():
+def test_modes_ground_learning_assessing():
     flight, thrust = log()
     table = make(flight, thrust)
     when = table.time
     assert np.all(table.mode[when < 2.0 + tick_table.HOVER_LEARN_S] == tick_table.GROUND)
     learning = (when >= 2.0 + tick_table.HOVER_LEARN_S) & (when < 5.0)
     assert np.all(table.mode[learning] == tick_table.LEARN)
-    assert np.all(table.mode[(when >= 5.0) & (table.command_time <= 11.0)] == tick_table.JUDGE)
+    assert np.all(table.mode[(when >= 5.0) & (table.command_time <= 11.0)] == tick_table.ASSESS)
     assert np.all(table.mode[table.command_time > 11.0] == tick_table.GROUND)
     assert np.flatnonzero(table.restart).tolist() == [np.flatnonzero(learning)[0]]
     assert not table.valid[table.mode == tick_table.GROUND].any()
@@ -174,7 +174,7 @@ def test_a_flight_without_motors_or_out_of_the_air_has_no_ticks():
 
 
 def test_a_tick_needs_two_fifths_of_the_gyros_usual_samples():
-    """A gyro that mostly fails for two seconds, and then gives every other sample: the first is not judged, the second is."""
+    """A gyro that mostly fails for two seconds, and then gives every other sample: the first is not assessed, the second is."""
     flight, thrust = log()
     gyro, k = flight["gyro"], np.arange(len(flight["gyro"]))
     every = np.where((gyro.time > 6.0) & (gyro.time < 8.0), 5, np.where((gyro.time > 8.0) & (gyro.time < 10.0), 2, 1))
@@ -253,7 +253,7 @@ def test_without_velocity_or_attitude_the_speed_along_the_thrust_axis_is_not_kno
         assert np.isnan(make(replace(flight, signals=less), thrust).axial).all()
 
 
-def test_a_tumbling_vehicle_is_not_judged_any_more():
+def test_a_tumbling_vehicle_is_not_assessed_any_more():
     flight, thrust = log()
     gyro = flight["gyro"]
     rolling = gyro.values + (gyro.time[:, None] > 8.0) * np.array([10.0, 0, 0])
@@ -299,7 +299,7 @@ def test_a_log_that_stops_earlier_has_the_same_ticks_until_then(rate):
         np.testing.assert_allclose(getattr(short, name)[:count], getattr(whole, name)[:count], atol=1e-12, err_msg=name)
 
 
-def test_without_gyro_or_accelerometer_the_rest_is_still_judged_and_said():
+def test_without_gyro_or_accelerometer_the_rest_is_still_assessed_and_said():
     _, thrust = log()
     bare = Flight("test", "test", {"motors": thrust}, END)
     table = make(bare, thrust)
@@ -413,7 +413,7 @@ def test_who_has_tumbled_for_long_does_not_hover_again_in_this_hop(lasts, gone):
     assert table.valid[later].any() != gone
 
 
-def test_rotors_without_yaw_torque_are_not_judged_by_yaw():
+def test_rotors_without_yaw_torque_are_not_assessed_by_yaw():
     flight, thrust = log()
     flat = B * [[1.0], [1.0], [0.0], [1.0]]
     valid = tick_table.cut_ticks(flight, thrust, flat, AIR, 3.0).valid
@@ -473,12 +473,12 @@ def test_after_a_contact_the_trim_is_learned_from_controlled_flight_alone():
         return np.array(found)
 
     assert np.flatnonzero(modes({10, 11}) == tick_table.LEARN).tolist() == list(range(10, 20))
-    assert (modes({10, 11, 39})[40:] == tick_table.JUDGE).all() and (modes(set()) == tick_table.JUDGE).all()
+    assert (modes({10, 11, 39})[40:] == tick_table.ASSESS).all() and (modes(set()) == tick_table.ASSESS).all()
 
 
-def test_learning_is_neither_on_the_ground_nor_judged():
+def test_learning_is_neither_on_the_ground_nor_assessed():
     """The estimator tells them apart by size, half-way between; what is learned from has to be measured."""
-    assert tick_table.GROUND < tick_table.LEARN - 0.5 < tick_table.JUDGE - 1.0
+    assert tick_table.GROUND < tick_table.LEARN - 0.5 < tick_table.ASSESS - 1.0
     flight, thrust = log()
     table = make(flight, thrust)
     learning = (table.time >= 2.0 + tick_table.HOVER_LEARN_S) & (table.time < 5.0)

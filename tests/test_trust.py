@@ -1,4 +1,4 @@
-"""Is this what flew? Logs that contradict themselves are not judged, and logs that do not are."""
+"""Is this what flew? Logs that contradict themselves are not assessed, and logs that do not are."""
 
 from dataclasses import replace
 from functools import cache

@@ -18,7 +18,7 @@ from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 jax = load_jax()
 DT, T = 0.05, 360
 TRUE_TORQUE, TRUE_GYRO, TRUE_ACCEL = 0.004, 0.08, 0.2
-TORQUE, GYRO, ACCEL = 0.016, 0.02, 0.5  # what the plant is told
+TORQUE, GYRO, ACCEL = 0.016, 0.02, 0.5  # what the plant is given
 
 
 def quad(torque_sd=TORQUE, gyro_sd=GYRO, accel_sd=ACCEL):
@@ -58,7 +58,7 @@ def found():
 
 @pytest.mark.thorough
 def test_the_noise_that_was_there_is_found(found):
-    """Factors on variances, up to what 700 rows can tell; the plant was told 16 times too much and too little."""
+    """Factors on variances, up to what 700 rows can tell; the plant was given 16 times too much and too little."""
     gyro, accel = found.tuning.r[:3], found.tuning.r[3]
     assert np.all((gyro > 6.0) & (gyro < 40.0))  # true: 16
     assert 0.08 < accel < 0.4  # true: 0.16
@@ -195,7 +195,7 @@ def test_a_tuning_that_was_not_checked_says_so(tuned):
     assert "was not checked" in said
 
 
-def test_logs_to_tune_to_are_judged_first(tuned):
+def test_logs_to_tune_to_are_assessed_first(tuned):
     found, _ = tuned(-0.5, "one", "ground", "hexa", "two")
     assert found.flights == ("one.bin", "two.bin")
     assert any("ground.bin was set aside: it has no flight" in n for n in found.notes)

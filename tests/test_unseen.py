@@ -12,7 +12,7 @@ from scipy import signal, stats
 import rotorwatch as rw
 from rotorwatch.answer import unseen
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
-from rotorwatch.engine.motion.tick_table import JUDGE
+from rotorwatch.engine.motion.tick_table import ASSESS
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.live.replay import Replay
 from rotorwatch.live.watched import Watched
@@ -43,7 +43,7 @@ def flown(seconds=60.0, rotor=1, loss=0.0, onset_s=30.0, noise=0.05, memory=0.9,
     time = DT * np.arange(T)
     there = np.where(time >= onset_s, loss, 0.0)
     table = SimpleNamespace(
-        mode=np.full(T, JUDGE), valid=np.ones((T, 4), bool), upset=np.zeros(T, bool), time=time, dt=DT,
+        mode=np.full(T, ASSESS), valid=np.ones((T, 4), bool), upset=np.zeros(T, bool), time=time, dt=DT,
         thrust=np.ones((T, 4)), restart=np.arange(T) == 0,
     )  # fmt: skip
     return wind + there[:, None] * B[:, rotor - 1], table
@@ -192,7 +192,7 @@ def test_a_step_as_small_as_that_of_a_healthy_rotor_accuses_nobody():
     assert accused(evidence(table), table, biases) == ()
 
 
-def test_evidence_of_ticks_that_are_not_judged_or_of_a_knock_does_not_count():
+def test_evidence_of_ticks_that_are_not_assessed_or_of_a_knock_does_not_count():
     biases, table = flown(loss=0.2, noise=0.03)
     out = evidence(table)
     knock = SimpleNamespace(kind="contact", onset_s=30.0, detected_s=30.5, end_s=30.5)
@@ -245,7 +245,7 @@ def test_a_loss_of_control_after_certain_evidence_may_have_been_that_rotor():
         {"at": 25.0},  # long before
         {"at": 33.5},  # after it
         {"events": [Event("contact", (), 31.0, 31.0, None, (), (), 1.0)]},  # of a knock
-        {"event": lost(cause="disarmed")},  # not judged by how rotors answer
+        {"event": lost(cause="disarmed")},  # not assessed by how rotors answer
         {"event": replace(lost(), alternatives=((3,),))},  # others are named already
     ],
 )
@@ -326,7 +326,7 @@ def test_pieces_give_the_bounds_of_the_whole(step):
 
 
 @pytest.mark.parametrize("step", [1, 7, 600])
-def test_a_flight_that_begins_where_nothing_is_judged_is_noticed(step):
+def test_a_flight_that_begins_where_nothing_is_assessed_is_noticed(step):
     biases, table = flown(loss=0.2, noise=0.03)
     table.mode[285:295], table.restart[290] = 0, True
     seen, out = unseen.Unseen(B, DT), evidence(table)
@@ -406,7 +406,7 @@ def test_a_live_vehicle_is_bounded_as_its_log_is():
     assert (early > 0.5 * upper).all(), "little is known at first"
     listed = landed.answer("one", session, rows, session.spans[0])
     assert listed.verdict == "healthy"
-    # The last ticks before the touch-down are judged once it is certain.
+    # The last ticks before the touch-down are assessed once it is certain.
     np.testing.assert_allclose([r.since_takeoff[1] for r in listed.rotors], rows[-1][3], rtol=0.1, atol=0.002)
     assert session.case is not None
     session.case.consistency.doubt = "The outputs stand still while the vehicle turns."

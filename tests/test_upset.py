@@ -106,12 +106,12 @@ def test_a_vehicle_pushed_up_as_it_turns_over_accuses_no_rotor(push, cause):
     touches = (force.time > truth.begins_s) & (force.time < truth.begins_s + 0.08)
     values = force.values - G0 * push * touches[:, None] * [0.0, 0.0, 1.0]
     pushed = replace(flight, signals={**flight.signals, "accel": replace(force, values=values)})
-    (judged,) = find.judged(pushed, QUAD, airborne(pushed))
-    assert judged.cause == cause
+    (assessed,) = find.assessed(pushed, QUAD, airborne(pushed))
+    assert assessed.cause == cause
     if cause == "rotor":
-        assert judged.found[0].rotors[0] + 1 == truth.rotors[0]
+        assert assessed.found[0].rotors[0] + 1 == truth.rotors[0]
     else:
-        assert not judged.found and "pushed up" in judged.evidence[0]
+        assert not assessed.found and "pushed up" in assessed.evidence[0]
 
 
 @pytest.mark.thorough(keep=2)
@@ -189,8 +189,8 @@ def test_nothing_logged_of_the_rotors_as_control_was_lost_accuses_none(stops_s, 
         "attitude_wanted": Signal(time, np.tile([1.0, 0, 0, 0], (time.size, 1)), tuple("wxyz"), "1", "FRD->NED"),
     }
     flight = Flight("model", "ArduPilot", signals, 12.0, parameters={"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0})
-    (judged,) = find.judged(flight, QUAD, [(5.0 if moves_s else 1.0, 11.0)])
-    assert judged.cause == "unknown" and not judged.found
+    (assessed,) = find.assessed(flight, QUAD, [(5.0 if moves_s else 1.0, 11.0)])
+    assert assessed.cause == "unknown" and not assessed.found
 
 
 def test_control_that_comes_back_at_once_was_not_lost():
@@ -377,7 +377,7 @@ def test_motion_against_the_torque_speaks_against_the_commands_however_wrong_the
 
 
 @pytest.mark.parametrize("rotor", range(4))
-def test_each_rotor_is_told_from_the_others(rotor):
+def test_each_rotor_is_reported_from_the_others(rotor):
     rng = np.random.default_rng(rotor)
     T = np.clip(1.0 + rng.normal(0.0, 0.3, (14, 4)), 0.1, 2.0)
     given = T.copy()
@@ -393,8 +393,8 @@ def test_each_rotor_is_told_from_the_others(rotor):
 def test_swapped_outputs_that_look_alike_are_named_as_candidates():
     pair = explain_kind("order", (0, 1)), explain_kind("order", (2, 3))
     left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
-    judged = find.Judged(left, "motor_order", pair, np.array([0.6, 0.4]), None, 5.0, ())
-    order, lost = falls.events([judged], (), 4)
+    assessed = find.Assessed(left, "motor_order", pair, np.array([0.6, 0.4]), None, 5.0, ())
+    order, lost = falls.events([assessed], (), 4)
     assert {order.kind, lost.kind} == {"motor_order", "loss_of_control"}
     assert order.alternatives == lost.alternatives == ((3, 4),)
 
@@ -403,25 +403,25 @@ def test_swapped_outputs_that_look_alike_are_named_as_candidates():
 def test_a_rotor_that_leaves_motion_unexplained_is_a_candidate_and_not_accused(misfit, cause, accused):
     left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
     best = Explanation("rotor", (3,), 0.0, 5.0, 1.0, 0.9, 1.0, np.full((3, 4), misfit), 1.1)
-    judged = find.Judged(left, cause, (best,), np.ones(1), None, 5.0, ())
-    *losses, lost = falls.events([judged], (), 4)
+    assessed = find.Assessed(left, cause, (best,), np.ones(1), None, 5.0, ())
+    *losses, lost = falls.events([assessed], (), 4)
     assert [e.rotors for e in losses] == ([(4,)] if accused else [])
     assert lost.rotors == ((4,) if accused else ()) and (accused or lost.alternatives == ((4,),))
 
 
 def test_what_left_control_after_a_blow_was_knocked():
     left = loss_of_control.LossOfControl(5.0, 5.4, None, None, "tilted")
-    judged = find.Judged(left, "unknown", (), np.empty(0), None, 5.0, ())
+    assessed = find.Assessed(left, "unknown", (), np.empty(0), None, 5.0, ())
     blow = Event("contact", (), 4.4, 4.4, 4.4, (), (), 1.0, (), "a blow")
-    assert falls.events([judged], [blow], 4)[-1].extra["cause"] == "knock"
-    assert falls.events([judged], [replace(blow, onset_s=1.0)], 4)[-1].extra["cause"] == "unknown"
+    assert falls.events([assessed], [blow], 4)[-1].extra["cause"] == "knock"
+    assert falls.events([assessed], [replace(blow, onset_s=1.0)], 4)[-1].extra["cause"] == "unknown"
 
 
 def explain_kind(kind: str, rotors: tuple[int, ...]) -> Explanation:
     return Explanation(kind, rotors, 0.0, 5.0, 0.0, 0.0, 0.1, np.zeros((3, 4)))
 
 
-def test_rotors_that_do_as_told_are_cleared():
+def test_rotors_that_do_as_reported_are_cleared():
     rng = np.random.default_rng(9)
     T = np.clip(1.0 + rng.normal(0.0, 0.3, (14, 4)), 0.1, 2.0)
     rate_dot = (T @ B.T)[:, :3] / (4 * INERTIA)
@@ -430,9 +430,9 @@ def test_rotors_that_do_as_told_are_cleared():
     assert sum(p for e, p in zip(found, probability) if e.kind == "rotor") < 0.1
 
 
-def test_after_the_impact_nothing_is_judged():
+def test_after_the_impact_nothing_is_assessed():
     flight, truth = tumbling.fly("quad-x", "climb", 1, 50.0, 11.0)
-    upsets = find.judged(flight, QUAD, [(3.7, 11.0)])
+    upsets = find.assessed(flight, QUAD, [(3.7, 11.0)])
     ((_, end),) = find.until_impact(flight, [(3.7, 11.0)], upsets)
     assert truth.lost_s < end < 10.0
 
@@ -457,9 +457,9 @@ def test_a_rotor_that_dies_in_wind_is_named_where_the_battery_was_steady(number,
     give less than commanded. Neither takes the place of the dead rotor."""
     flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "quad-x.toml").plan
     (flown,) = batch.fly(flights, [number], 1)
-    (judged,) = flown.ready.upsets
+    (assessed,) = flown.ready.upsets
     assert np.flatnonzero(flown.theta.max(axis=0) > 0.99).tolist() == [rotor]
-    assert judged.cause == "rotor" and judged.found[0].rotors == (rotor,) and judged.probability[0] > 0.9
+    assert assessed.cause == "rotor" and assessed.found[0].rotors == (rotor,) and assessed.probability[0] > 0.9
 
 
 def test_a_rotor_that_dies_while_air_takes_the_thrust_is_not_cleared():
@@ -467,25 +467,25 @@ def test_a_rotor_that_dies_while_air_takes_the_thrust_is_not_cleared():
     small; yet without that explanation they speak for a rotor."""
     flights = benchmark_plan.read(Path(__file__).parents[1] / "benchmarks" / "comparison" / "hexa-x.toml").plan
     (flown,) = batch.fly(flights, [881], 1)
-    (judged,) = flown.ready.upsets
-    assert judged.found[0].kind == "common" and judged.cause == "unknown"
+    (assessed,) = flown.ready.upsets
+    assert assessed.found[0].kind == "common" and assessed.cause == "unknown"
 
 
 @pytest.mark.parametrize(
-    "announced, fall, told",
+    "announced, fall, reported",
     [
         ((0.29, 0.2, 0.38), (0.95, 0.81, 1.0), (0.95, 0.81, 1.0)),  # a few ticks saw the loss begin
         ((0.66, 0.43, 0.89), (0.91, 0.75, 1.0), (0.66, 0.43, 0.89)),  # they agree
         ((0.98, 0.95, 1.0), (0.8, 0.65, 0.92), (0.98, 0.95, 1.0)),  # the fall hides some of it
     ],
 )
-def test_the_size_of_a_loss_is_the_falls_where_that_shows_more_for_certain(announced, fall, told):
+def test_the_size_of_a_loss_is_the_falls_where_that_shows_more_for_certain(announced, fall, reported):
     left = loss_of_control.LossOfControl(5.0, 5.4, 7.0, None, "tilted")
     best = Explanation("rotor", (2,), 0.0, 5.0, *fall, np.zeros((3, 4)))
-    judged = find.Judged(left, "rotor", (best,), np.ones(1), None, 5.0, ("the motion",))
+    assessed = find.Assessed(left, "rotor", (best,), np.ones(1), None, 5.0, ("the motion",))
     known = Event("loss_of_effectiveness", (3,), 4.9, 5.1, None, announced[:1], (announced[1:],), 1.0, (), "announced")
-    loss, lost = falls.events([judged], [known], 4)
-    assert (loss.loss, *loss.interval) == (told[:1], told[1:]) and loss.detected_s == 5.1 and loss.rotors == lost.rotors == (3,)
+    loss, lost = falls.events([assessed], [known], 4)
+    assert (loss.loss, *loss.interval) == (reported[:1], reported[1:]) and loss.detected_s == 5.1 and loss.rotors == lost.rotors == (3,)
 
 
 @pytest.mark.parametrize("since_s", [0.0, 5.0])

@@ -1,4 +1,4 @@
-"""A flight given piece by piece is judged as it is in one piece: the law of `rotorwatch watch`."""
+"""A flight given piece by piece is assessed as it is in one piece: the law of `rotorwatch watch`."""
 
 import io
 import json
@@ -103,21 +103,21 @@ def test_a_log_replayed_gives_the_events_of_diagnose(name):
             np.testing.assert_allclose(one[key], other[key], atol=2e-4)
 
 
-def test_a_loss_of_control_is_told_as_soon_as_it_is_certain():
+def test_a_loss_of_control_is_reported_as_soon_as_it_is_certain():
     flight = flight_of("crash/quad-off-1.bin.xz")
     (lost,) = [e for e in diagnose(flight).events if e.kind == "loss_of_control"]
-    session, told = Session(flight), np.inf
+    session, reported = Session(flight), np.inf
     for signals, messages, end in pieces(flight, seed=2, most=0.5):
         session.add(signals, messages)
         session.advance(np.nextafter(end, -np.inf))
         first = [e for e in session.events() if e.kind == "loss_of_control"]
-        if first and told == np.inf:
-            told = end
+        if first and reported == np.inf:
+            reported = end
             assert (2,) in (first[0].rotors, *first[0].alternatives)
-    assert lost.detected_s <= told < lost.detected_s + 1.0
+    assert lost.detected_s <= reported < lost.detected_s + 1.0
 
 
-def test_a_pair_is_never_told_as_the_rotor_between_them_alone():
+def test_a_pair_is_never_reported_as_the_rotor_between_them_alone():
     table = {
         "duration_s": 44.0, "seed": 5, "airframe": {"frame": "hexa-x"}, "wind": {"speed_m_s": 2.0}, "logging": {"profile": "full"},
         "faults": [{"kind": "loss", "rotor": r, "onset_s": 32.0, "strength": 0.6} for r in (1, 3)],
@@ -126,12 +126,12 @@ def test_a_pair_is_never_told_as_the_rotor_between_them_alone():
     replay._step = 0.05
     while replay.poll():
         pass
-    told = [a["event"] for a in alerts if a["type"] == "event" and a["event"]["rotors"]]
-    assert len(told) > 1 and told[-1]["rotors"] == [1, 3] and told[-1]["alternatives"] == []
-    assert [e for e in told if [1, 3] not in (e["rotors"], *e["alternatives"])] == []
+    reported = [a["event"] for a in alerts if a["type"] == "event" and a["event"]["rotors"]]
+    assert len(reported) > 1 and reported[-1]["rotors"] == [1, 3] and reported[-1]["alternatives"] == []
+    assert [e for e in reported if [1, 3] not in (e["rotors"], *e["alternatives"])] == []
 
 
-def test_what_the_ground_does_after_a_touch_down_is_never_told():
+def test_what_the_ground_does_after_a_touch_down_is_never_reported():
     """A healthy hexarotor whose controller winds up on the ground in wind before its motors stop: ticks wait until that is known."""
     table = {
         "duration_s": 65.0, "seed": 10370, "airframe": {"frame": "hexa-plus"}, "trajectory": {"kind": "figure-eight"},
@@ -141,7 +141,7 @@ def test_what_the_ground_does_after_a_touch_down_is_never_told():
     assert [a for a in alerts if a["type"] == "event"] == []
 
 
-def test_aerobatics_are_never_told_as_a_loss_of_control():
+def test_aerobatics_are_never_reported_as_a_loss_of_control():
     alerts, _ = replayed(flight_of("crash/flips-1.bin.xz"))
     assert [a for a in alerts if a["type"] == "event" and a["event"]["kind"] == "loss_of_control"] == []
 
@@ -155,10 +155,10 @@ def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
         stream.add(signals, messages)
         piece = stream.advance()
         stream.replanned()
-        if piece is not None and piece.judged is not None:
-            found.append(piece.judged.table)
+        if piece is not None and piece.assessed is not None:
+            found.append(piece.assessed.table)
     last = stream.finish(flight.duration)
-    found += [last.judged.table] if last.judged is not None else []
+    found += [last.assessed.table] if last.assessed is not None else []
     assert len(found) > 5
     together, plan = tick_table.joined(found), stream.plan
     commands = flight["control" if allocation.faster_control(flight) else "motors"]
@@ -177,7 +177,7 @@ def test_the_table_of_ticks_is_the_same_tick_for_tick(name):
     assert together.contacts == whole.contacts
 
 
-def test_a_tick_is_judged_with_the_sample_that_completes_it():
+def test_a_tick_is_assessed_with_the_sample_that_completes_it():
     """On a link that stamps whole milliseconds the end of a tick and a sample are often one moment, but two sums of floating-point
     numbers: the tick must not wait for the next sample, 20 ms later."""
     flight = flight_of("quadx_healthy_hover.bin.xz")
@@ -191,9 +191,9 @@ def test_a_tick_is_judged_with_the_sample_that_completes_it():
     for k, now in enumerate(grid):
         stream.add({name: signal.part(slice(k, k + 1)) for name, signal in held.items()})
         due, piece = stream.due_s, stream.advance()
-        if piece is not None and piece.judged is not None and k > 100 and not stream.diagnoser.doubting:
+        if piece is not None and piece.assessed is not None and k > 100 and not stream.diagnoser.doubting:
             assert due <= now
-            waited.append(now - piece.judged.table.time[-1])  # `time`: when all is known of the tick
+            waited.append(now - piece.assessed.table.time[-1])  # `time`: when all is known of the tick
     assert len(waited) > 100
     assert max(waited) < 0.02 - 1e-6
 
@@ -246,7 +246,7 @@ def test_what_cannot_be_watched_is_said_in_a_sentence(arguments, says, capsys):
     assert left.value.code == 2 and says in said and "Traceback" not in said
 
 
-def test_changes_are_told_once():
+def test_changes_are_reported_once():
     changes, event = Changes(), hexa_event()
     (first,) = changes.since_last([event])
     assert (first.what, first.number) == ("announced", 1) and changes.since_last([event]) == []

@@ -75,38 +75,38 @@ def until(true, most_s=20.0):
 
 
 def test_what_fails_is_sent_again_and_nothing_is_lost_or_doubled(served):
-    server, told = served(500, 503, 429), []
-    hook = webhook.Webhook(server.url, told.append, pause_s=0.01)
+    server, reported = served(500, 503, 429), []
+    hook = webhook.Webhook(server.url, reported.append, pause_s=0.01)
     alerts = [{"type": "notice", "vehicle": "a", "text": str(k)} for k in range(20)]
     for alert in alerts:
         hook.take(alert)
     until(lambda: hook.sent == 20)
     hook.leave()
     assert server.got == alerts and server.asked == 23
-    assert len(told) == 2 and "does not accept alerts (500" in told[0] and "accepts alerts again" in told[1]
+    assert len(reported) == 2 and "does not accept alerts (500" in reported[0] and "accepts alerts again" in reported[1]
 
 
 def test_what_is_refused_for_good_is_said_once_and_holds_nothing_up(served):
-    server, told = served(404, 301, 200), []
-    hook = webhook.Webhook(server.url, told.append)
+    server, reported = served(404, 301, 200), []
+    hook = webhook.Webhook(server.url, reported.append)
     for k in range(3):
         hook.take({"number": k})
     until(lambda: hook.sent == 1)
     hook.leave()
     assert server.got == [{"number": 2}] and hook.refused == 2
-    assert len(told) == 1 and "refuses alerts (404" in told[0]
+    assert len(reported) == 1 and "refuses alerts (404" in reported[0]
 
 
 def test_an_address_that_nobody_answers_costs_the_oldest_alerts_only(monkeypatch):
     monkeypatch.setattr(webhook, "MOST", 10)
     monkeypatch.setattr(webhook, "LAST_S", 0.1)
-    told = []
-    hook = webhook.Webhook("http://127.0.0.1:9/", told.append)
+    reported = []
+    hook = webhook.Webhook("http://127.0.0.1:9/", reported.append)
     for k in range(50):
         hook.take({"number": k})
     assert hook.dropped == 40
     hook.leave()
-    assert "could not be sent" in told[-1] and "10 alerts" in told[-1]
+    assert "could not be sent" in reported[-1] and "10 alerts" in reported[-1]
 
 
 @pytest.mark.parametrize("url", ["alerts.example", "ftp://example/", "http://"])
@@ -116,7 +116,7 @@ def test_what_is_no_address_is_said(url):
 
 
 def flying(name="udp:14550/1", losses=(0.0, 0.0, 0.371, 0.0, 0.0, 0.0), events=()):
-    """A vehicle that is being judged, as far as outlets see one."""
+    """A vehicle that is being assessed, as far as outlets see one."""
     watched = Watched(name, lambda alert: None)
     loss = np.array(losses)
     watched.session = SimpleNamespace(
@@ -150,7 +150,7 @@ def test_a_scrape_says_what_is_known_of_each_vehicle():
     assert float(said[f'rotorwatch_rotor_loss_upper{{rotor="3",{who}}}']) == pytest.approx(0.421)
     assert said[f'rotorwatch_state{{state="FAULT",{who}}}'] == "1.0"
     assert said[f'rotorwatch_state{{state="OK",{who}}}'] == "0.0"
-    assert said[f"rotorwatch_ticks_judged_total{{{who}}}"] == "123.0"
+    assert said[f"rotorwatch_ticks_assessed_total{{{who}}}"] == "123.0"
     assert said[f"rotorwatch_messages_lost_total{{{who}}}"] == "5.0"
     assert float(said[f"rotorwatch_link_loss{{{who}}}"]) == pytest.approx(0.05)
     assert 0.0 <= float(said[f"rotorwatch_message_age_seconds{{{who}}}"]) < 60.0
@@ -198,7 +198,7 @@ class Wire(endpoint.Endpoint):
 
 
 @pytest.fixture
-def told():
+def reported():
     """(ground, link, wire, the clock's time in a list): one vehicle of system 7 on a link, in flight."""
     now = [1000.0]
     wire = Wire()
@@ -220,8 +220,8 @@ def texts(wire):
     return [(m.severity, m.text) for m in wire.sent if m.get_type() == "STATUSTEXT"]
 
 
-def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(told):
-    outlet, link, wire, now = told
+def test_a_fault_is_reported_in_plain_words_and_again_only_when_it_has_changed_much(reported):
+    outlet, link, wire, now = reported
 
     def step(*alerts, wait=30.0):
         for one in alerts:
@@ -255,16 +255,16 @@ def test_a_fault_is_told_in_plain_words_and_again_only_when_it_has_changed_much(
         ({"kind": "motor_order", "rotors": (1, 2)}, "announced", ground.CRITICAL, "rotors 1+2 wrong motor order"),
     ],
 )  # fmt: skip
-def test_a_loss_of_control_is_critical_and_its_cause_is_told(event, state, severity, words):
-    told = {k: v for k, v in event.items() if k not in ("cause", "impact_s")}
+def test_a_loss_of_control_is_critical_and_its_cause_is_reported(event, state, severity, words):
+    reported = {k: v for k, v in event.items() if k not in ("cause", "impact_s")}
     extra = {k: v for k, v in event.items() if k in ("cause", "impact_s")}
-    told = {"kind": "loss_of_control", "rotors": (), "loss": (), "interval": (), **told, "extra": extra}
-    said = alert(state=state, **told)
+    reported = {"kind": "loss_of_control", "rotors": (), "loss": (), "interval": (), **reported, "extra": extra}
+    said = alert(state=state, **reported)
     assert ground.text_of(said) == (f"rotorwatch: {words}", severity)
 
 
-def test_a_cause_that_is_known_later_is_told_again(told):
-    outlet, link, wire, now = told
+def test_a_cause_that_is_known_later_is_reported_again(reported):
+    outlet, link, wire, now = reported
     for rotors, cause in (((), "unknown"), ((2,), "rotor"), ((2,), "rotor")):
         outlet.take(alert(kind="loss_of_control", rotors=rotors, loss=(), interval=(), extra={"cause": cause}))
         now[0] += 30.0
@@ -272,8 +272,8 @@ def test_a_cause_that_is_known_later_is_told_again(told):
     assert [text for _, text in texts(wire)] == ["rotorwatch: LOSS OF CONTROL", "rotorwatch: LOSS OF CONTROL, rotor 2"]
 
 
-def test_texts_are_few_and_the_worst_comes_first(told):
-    outlet, link, wire, now = told
+def test_texts_are_few_and_the_worst_comes_first(reported):
+    outlet, link, wire, now = reported
     outlet.take(alert(number=1, kind="contact", rotors=(), loss=(), interval=(), end_s=31.2))
     outlet.take(alert(number=2))
     outlet.step([link])
@@ -290,8 +290,8 @@ def test_texts_are_few_and_the_worst_comes_first(told):
     assert len(texts(wire)) <= tell_ground.A_MINUTE
 
 
-def test_values_of_each_rotor_come_once_a_second_and_nothing_is_a_command(told):
-    outlet, link, wire, now = told
+def test_values_of_each_rotor_come_once_a_second_and_nothing_is_a_command(reported):
+    outlet, link, wire, now = reported
     outlet.take(alert())
     for _ in range(100):
         now[0] += 0.1
@@ -316,9 +316,9 @@ def test_words_fit_one_message(count, kind):
         assert said.isascii() and len(said) <= 50 and "10" in said
 
 
-def test_a_second_client_sees_the_text(told):
+def test_a_second_client_sees_the_text(reported):
     """Over UDP: a vehicle and a ground station on one port; the station hears what the watcher tells."""
-    outlet, _, _, _ = told
+    outlet, _, _, _ = reported
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]

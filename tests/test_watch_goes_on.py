@@ -1,4 +1,4 @@
-"""What fails beside the judging never ends it, and what ends is seen; nothing that a link brings makes memory grow without bound."""
+"""What fails beside the assessing never ends it, and what ends is seen; nothing that a link brings makes memory grow without bound."""
 
 import errno
 import json
@@ -78,18 +78,18 @@ def test_short_stamps_that_are_not_believed_do_not_pile_up():
     assert len(clock._other) < 10 and clock.refused == 1000
 
 
-def test_vehicles_of_one_link_are_judged_and_listed_whatever_their_clocks_do(tmp_path):
+def test_vehicles_of_one_link_are_assessed_and_listed_whatever_their_clocks_do(tmp_path):
     """The short version of `python -m tests.soak`."""
     found = soak(0.75, tmp_path, count=2, seed=3, flight_s=19.0)
     assert found.trouble == [] and found.reboots + found.jumps == found.flights - 2 >= 2
     assert found.stored == found.flights
 
 
-def test_any_number_is_told_as_json():
-    told = {"a": np.int64(3), "b": np.bool_(True), "c": [np.float32(0.5), math.nan, (np.inf, None)], "d": np.arange(2)}
-    assert json.loads(as_json(told)) == {"a": 3, "b": True, "c": [0.5, None, [None, None]], "d": [0, 1]}
+def test_any_number_is_reported_as_json():
+    reported = {"a": np.int64(3), "b": np.bool_(True), "c": [np.float32(0.5), math.nan, (np.inf, None)], "d": np.arange(2)}
+    assert json.loads(as_json(reported)) == {"a": 3, "b": True, "c": [0.5, None, [None, None]], "d": [0, 1]}
     page = hub.Hub(dict)
-    page.publish("tick", told)
+    page.publish("tick", reported)
     assert "NaN" not in page._since(0)[0]
 
 
@@ -124,29 +124,29 @@ class Outlet:
         raise ValueError("leaving is broken")
 
 
-def test_what_fails_beside_the_judging_ends_nothing_and_is_said_once(monkeypatch):
+def test_what_fails_beside_the_assessing_ends_nothing_and_is_said_once(monkeypatch):
     monkeypatch.setattr(watch, "STEP_S", 0.0)
     monkeypatch.setattr(watch, "SHOW_S", 0.0)
 
     def show(sources):
         raise FULL
 
-    said, told, source = [], [], Source(50)
+    said, reported, source = [], [], Source(50)
     beside = Guard(said.append)
-    watch.watch([watch.Guarded("one", source, told.append)], show, outlets=[Outlet(), Outlet()], guard=beside)
-    assert source.polled == 50 and source.left and told == []
+    watch.watch([watch.Guarded("one", source, reported.append)], show, outlets=[Outlet(), Outlet()], guard=beside)
+    assert source.polled == 50 and source.left and reported == []
     assert len(said) == 2 and "counting is broken" in said[0] and "No space left" in said[1]
     assert set(beside.failed) == {"outlet", "the picture"}
 
 
 def test_a_source_that_fails_is_tried_again_and_one_that_ends_leaves_the_others(monkeypatch):
     monkeypatch.setattr(watch, "FIRST_S", 0.001)
-    told = []
+    reported = []
     failing, ending, good = (Source(9, {3: ValueError("bug"), 4: ValueError("bug")}), Source(9, {2: LinkError("gone.")}), Source(60))
-    guarded = [watch.Guarded(name, one, told.append) for name, one in zip("abc", (failing, ending, good))]
+    guarded = [watch.Guarded(name, one, reported.append) for name, one in zip("abc", (failing, ending, good))]
     watch.watch(guarded)
     assert failing.polled == 9 and ending.polled == 2 and good.polled == 60
-    assert [(t["vehicle"], t["text"][:4]) for t in told] in ([("b", "gone"), ("a", "an i")], [("a", "an i"), ("b", "gone")])
+    assert [(t["vehicle"], t["text"][:4]) for t in reported] in ([("b", "gone"), ("a", "an i")], [("a", "an i"), ("b", "gone")])
     assert failing.left and ending.left and good.left
 
 
@@ -171,7 +171,7 @@ def test_a_loop_that_dies_is_seen_and_begins_again(monkeypatch, capsys):
     assert "MemoryError" in capsys.readouterr().err and "MemoryError" in feed.state()["said"][-1]["text"]
 
 
-def test_a_vehicle_that_cannot_be_shown_hides_no_other_and_is_judged_on(monkeypatch):
+def test_a_vehicle_that_cannot_be_shown_hides_no_other_and_is_assessed_on(monkeypatch):
     feed, source = live.Feed(), Source(5)
     source.vehicles = [Watched(name, feed.notify) for name in "ab"]
     source.shown = lambda: [(watched, "parameters") for watched in source.vehicles]
@@ -199,7 +199,7 @@ def test_a_flight_is_kept_whatever_fails_around_the_store(tmp_path, monkeypatch)
 
     def fails(row):
         kept.append(row["hash"])
-        raise TypeError("nobody can be told")
+        raise TypeError("nobody can be informed")
 
     def mute(text):
         raise BrokenPipeError
@@ -240,7 +240,7 @@ def test_after_an_error_of_its_own_a_vehicle_is_watched_anew(monkeypatch):
     assert watched.trouble == "" and watched.session is not first and watched.session.now > 2.0
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_judging(tmp_path, monkeypatch):
+def test_a_full_disk_ends_the_recording_and_not_the_assessing(tmp_path, monkeypatch):
     frames, parameters, _kind = base(0)
     alerts, wire, autopilot = [], Wire(), Autopilot(parameters)
     link = Link(wire, alerts.append, talks=False, record=tmp_path)
@@ -426,7 +426,7 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
         time.sleep(0.3)
         last, asked = vehicle.last, len(vehicle.intervals())
         child.send_signal(number)
-        assert child.wait(20.0) == 3  # nothing could be judged
+        assert child.wait(20.0) == 3  # nothing could be assessed
         until = time.monotonic() + 5.0
         while vehicle.intervals()[0] not in vehicle.intervals()[asked:] and time.monotonic() < until:
             time.sleep(0.02)
@@ -434,8 +434,8 @@ def test_asked_to_end_it_gives_back_what_it_has_asked_for_and_keeps_the_record(t
         child.kill()
         vehicle.stop.set()
         vehicle.join(2.0)
-        told = [json.loads(line) for line in child.communicate()[0].splitlines()]
-    assert told and slow.taken == told
+        reported = [json.loads(line) for line in child.communicate()[0].splitlines()]
+    assert reported and slow.taken == reported
     given_back = vehicle.intervals()[asked:]
     assert asked and set(given_back) >= {vehicle.intervals()[0]}
     (path,) = tmp_path.iterdir()
@@ -453,19 +453,19 @@ def test_one_endpoint_without_a_vehicle_does_not_end_the_others(capsys):
 
 def test_a_flight_that_the_store_did_not_take_is_kept_by_the_next_server(tmp_path, monkeypatch):
     monkeypatch.setattr(flights_of, "AGAIN_S", 0.001)
-    told, said = [], []
+    reported, said = [], []
     flights = flights_of.Flights(str(tmp_path / "fleet.db"))
     entry = Entry("a" * 64, "", "udp:1/1", 0, diagnosis={"verdict": "healthy", "losses": [0.1]})
     with monkeypatch.context() as gone:
         gone.setattr(flights, "keep", lambda entry: 1 / 0)
-        keeper = flights.store_writer(told.append, said.append)
+        keeper = flights.store_writer(reported.append, said.append)
         keeper.keep(entry)
         keeper.stop()
-    assert told == [] and "not in the list yet" in said[0]
+    assert reported == [] and "not in the list yet" in said[0]
     (flights.folder("heard") / "torn.json").write_text('{"hash": "b')
-    keeper = flights.store_writer(told.append, said.append)
+    keeper = flights.store_writer(reported.append, said.append)
     keeper.stop()
-    assert [row["hash"] for row in told] == [entry.hash] and flights.diagnosis(entry.hash) == entry.diagnosis
+    assert [row["hash"] for row in reported] == [entry.hash] and flights.diagnosis(entry.hash) == entry.diagnosis
     assert [path.name for path in flights.folder("heard").iterdir()] == ["torn.json"]
     flights.close()
 

@@ -1,4 +1,4 @@
-"""Links: what a vehicle sends over MAVLink is judged as its recording is, and nothing that a link does to it ends the watch."""
+"""Links: what a vehicle sends over MAVLink is assessed as its recording is, and nothing that a link does to it ends the watch."""
 
 import os
 import socket
@@ -139,7 +139,7 @@ def test_running_numbers_tell_what_was_lost_and_what_came_late(flight, step, los
 
 
 @pytest.mark.parametrize("second", [True, False])
-def test_a_vehicle_is_judged_over_a_link_as_its_recording_is(flight, tmp_path, second):
+def test_a_vehicle_is_assessed_over_a_link_as_its_recording_is(flight, tmp_path, second):
     seconds = SECONDS if second else 15.0
     link, wire, autopilot, alerts, data = linked(flight, record=tmp_path, second=second, seconds=seconds)
     sent_over(link, wire, of(autopilot, data))
@@ -154,7 +154,7 @@ def test_a_vehicle_is_judged_over_a_link_as_its_recording_is(flight, tmp_path, s
         assert session.now > 10.0
         return
     (loss,) = events_of(alerts)
-    assert session.judged and loss["rotors"] == [1] and 0.1 < loss["loss"][0] < 0.3
+    assert session.assessed and loss["rotors"] == [1] and 0.1 < loss["loss"][0] < 0.3
     (recording,) = tmp_path.glob("*.tlog")
     (afterwards,) = diagnose(logs.read(recording)).to_dict()["events"]
     assert (afterwards["kind"], afterwards["rotors"]) == (loss["kind"], loss["rotors"])
@@ -164,7 +164,7 @@ def test_a_vehicle_is_judged_over_a_link_as_its_recording_is(flight, tmp_path, s
 
 
 def test_what_a_bad_link_does_is_survived_and_counted(flight):
-    """A twentieth lost, some twice, some late, garbage between: the same rotor is found, and all of it is told."""
+    """A twentieth lost, some twice, some late, garbage between: the same rotor is found, and all of it is reported."""
     rng = np.random.default_rng(3)
 
     def mangled(piece):
@@ -183,7 +183,7 @@ def test_what_a_bad_link_does_is_survived_and_counted(flight):
     assert loss["rotors"] == [1]
 
 
-def test_a_reboot_in_flight_and_silence_are_told_and_survived(flight):
+def test_a_reboot_in_flight_and_silence_are_reported_and_survived(flight):
     link, wire, autopilot, alerts, data = linked(flight, seconds=20.0)
     sent_over(link, wire, of(autopilot, data))
     link.vehicles[0].health.last_frame -= 10.0
@@ -197,7 +197,7 @@ def test_a_reboot_in_flight_and_silence_are_told_and_survived(flight):
     assert link.vehicles[0].health.reboots == 1 and 15.0 < now < 21.0
 
 
-def test_vehicles_of_one_link_are_told_apart(flight):
+def test_vehicles_of_one_link_are_reported_apart(flight):
     parameters, data = relevant(flight.parameters), messages(flight, seconds=12.0)
     autopilots = [Autopilot(parameters, system=k) for k in (1, 7)]
     wire = Wire(autopilots)
@@ -266,7 +266,7 @@ def test_kept_parameters_are_used_at_once():
 
 
 class Late(Autopilot):
-    """One that says who it is, but sends its parameters only when told to."""
+    """One that says who it is, but sends its parameters only when asked to."""
 
     sends = False
 
@@ -332,7 +332,7 @@ def test_parameters_kept_of_a_vehicle_are_used_until_its_own_have_come_and_nothi
     link.leave()
 
 
-def test_what_was_told_of_another_vehicle_is_taken_back():
+def test_what_was_reported_of_another_vehicle_is_taken_back():
     alerts = []
     watched = Watched("udp:14550/1", alerts.append)
     for change in watched.changes.since_last((hexa_event(),)):
@@ -375,7 +375,7 @@ def test_random_datagrams_are_ignored_and_counted():
 
 
 def test_wild_values_in_sound_frames_end_nothing(flight):
-    """Any bits in the payloads of any message that is read, among those of a flight: told at most, and judged on."""
+    """Any bits in the payloads of any message that is read, among those of a flight: reported at most, and assessed on."""
     rng = np.random.default_rng(5)
     link, wire, autopilot, _alerts, data = linked(flight, seconds=14.0)
     seeds = {name: message.seed for name, message in mavlink_messages.by_name().items()}

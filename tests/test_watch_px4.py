@@ -41,9 +41,9 @@ def test_telemetry_is_answered_as_the_vehicles_own_log_is(name, rotor, truth):
     own = loss(diagnose(logs.read(OPEN / f"{name}.ulg.xz")).to_dict()["events"])
     recorded = loss(diagnose(logs.read(path)).to_dict()["events"])
     alerts, _ = overheard(path)
-    told = loss(held(alerts))
+    reported = loss(held(alerts))
     assert not [a for a in alerts if a["type"] == "error"]
-    for found in (own, recorded, told):
+    for found in (own, recorded, reported):
         assert found["rotors"] == [rotor] and not found["alternatives"]
         assert found["interval"][0][0] <= truth <= found["interval"][0][1]
     assert abs(recorded["onset_s"] - own["onset_s"]) < 0.5

@@ -21,7 +21,7 @@ def flight():
     return simulate(scenario.from_table(table)).flight
 
 
-def told(flight, folder, more):
+def reported(flight, folder, more):
     """(events that `watch` holds, alerts, events that `diagnose` finds in the recorded link); more: (time s, message) besides."""
     said = [*messages(flight, kind=QUAD), *more]
     autopilot = Autopilot({})
@@ -50,7 +50,7 @@ def of_reports(events):
 
 def test_a_vehicle_without_trouble_reports_none(flight, tmp_path):
     more = [health(float(t), SOUND) for t in range(1, 40)] + [shakes(float(t), 12.0) for t in range(1, 40)]
-    held, _, recorded = told(flight, tmp_path, more)
+    held, _, recorded = reported(flight, tmp_path, more)
     assert of_reports(held) == [] == of_reports(recorded)
 
 
@@ -58,7 +58,7 @@ def test_texts_health_and_vibration_of_a_link_go_through_the_same_table(flight, 
     more = [health(float(t), SOUND & ~(0x10000 * (t >= 20))) for t in range(1, 40)]
     more += [shakes(0.5 * t, 45.0 if 50 <= t < 66 else 12.0) for t in range(2, 80)]
     more += [(28.0, mavlink.MAVLink_statustext_message(2, b"EKF variance"))]
-    held, alerts, recorded = told(flight, tmp_path, more)
+    held, alerts, recorded = reported(flight, tmp_path, more)
     assert [name for name, _ in of_reports(held)] == ["estimator", "radio", "vibration"]
     for (name, at), (other, when) in zip(of_reports(held), of_reports(recorded), strict=True):
         assert name == other and abs(at - when) < 1.1
@@ -67,6 +67,6 @@ def test_texts_health_and_vibration_of_a_link_go_through_the_same_table(flight, 
     announced = [a for a in alerts if a["type"] == "event" and a["event"]["kind"] == REPORTED]
     (shaking,) = [a for a in announced if a["event"]["trouble"] == "vibration"]
     assert "vibration was up to" in view.announced(shaking)
-    # Ground stations have heard the autopilot's own words; of what was measured they are told.
+    # Ground stations have heard the autopilot's own words; of what was measured they are reported.
     assert {a["event"]["trouble"] for a in announced if ground.worth_sending(None, a)} == {"vibration"}
     assert ground.text_of(shaking)[0] == "rotorwatch: autopilot warning: vibration"

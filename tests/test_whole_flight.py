@@ -57,7 +57,7 @@ def test_false_alarm_rate_is_the_stated_one(vehicle, flights):
     for _ in range(count):
         spreads = build(rng, vehicle)
         baseline = [drawn(rng, vehicle, *spreads) for _ in range(flights)]
-        result = wf.judge(drawn(rng, vehicle, *spreads), baseline, vehicle)
+        result = wf.assess(drawn(rng, vehicle, *spreads), baseline, vehicle)
         alarms += result.verdict != "healthy"
         faults += result.verdict == "fault"
     # Four standard errors of the count, on both sides: a test that never alarms would be no better.
@@ -80,7 +80,7 @@ def test_damage_is_found_named_and_its_interval_holds():
         spreads, rotor = build(rng, QUAD), 1 + k % 4
         extra = rng.exponential(wf.LOSS_MEAN)
         theta = extra / (1.0 + extra)
-        result = wf.judge(damaged(rng, QUAD, spreads, rotor, theta), [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD)
+        result = wf.assess(damaged(rng, QUAD, spreads, rotor, theta), [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD)
         if theta > 0.25:
             found.append(result.verdict != "healthy")
         if result.verdict == "healthy":
@@ -101,7 +101,7 @@ def test_healthy_interval_says_what_could_hide():
     for _ in range(150):
         spreads = build(rng, QUAD)
         theta = rng.uniform(0.02, 0.12)
-        result = wf.judge(damaged(rng, QUAD, spreads, 2, theta), [drawn(rng, QUAD, *spreads) for _ in range(2)], QUAD)
+        result = wf.assess(damaged(rng, QUAD, spreads, 2, theta), [drawn(rng, QUAD, *spreads) for _ in range(2)], QUAD)
         low, high = result.interval[1]
         inside += result.verdict != "healthy" or low <= theta <= high
     assert inside >= 0.9 * 150
@@ -113,7 +113,7 @@ def test_a_weight_is_never_sure_to_be_a_rotor():
         spreads, angle = build(rng, QUAD), rng.uniform(0.0, 2.0 * np.pi)
         shift = 0.12 * np.array([np.cos(angle), np.sin(angle)])
         weighted = drawn(rng, QUAD, *spreads, shift=shift)
-        verdicts.append(wf.judge(weighted, [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD).verdict)
+        verdicts.append(wf.assess(weighted, [drawn(rng, QUAD, *spreads) for _ in range(3)], QUAD).verdict)
     assert verdicts.count("ambiguous") >= 0.9 * len(verdicts)
     assert verdicts.count("fault") <= 0.03 * len(verdicts)
 
@@ -134,8 +134,8 @@ def test_the_size_is_what_the_mixer_makes_up_for(vehicle, losses):
     f = commanded(vehicle, theta)
     shift = np.array([*(B[:3] @ f / f.sum() - B[:3].sum(axis=1) / n), np.log(f.mean())])
     found = wf._weigh(shift, np.eye(4) * 1e-5, 1e6, np.ones(n), vehicle)
-    told = next(h for h in found if h.rotors == tuple(losses))
-    assert told.mass @ told.theta == pytest.approx(list(losses.values()), abs=0.02)
+    reported = next(h for h in found if h.rotors == tuple(losses))
+    assert reported.mass @ reported.theta == pytest.approx(list(losses.values()), abs=0.02)
 
 
 @pytest.mark.thorough
@@ -147,7 +147,7 @@ def test_batteries_put_in_otherwise_accuse_nobody():
         for flights in (2, 3, 6):
             for _ in range(35):
                 one, *baseline = (drawn(rng, QUAD, between, np.eye(3) * 0.008**2) for _ in range(flights + 1))
-                faults += wf.judge(one, baseline, QUAD).verdict == "fault"
+                faults += wf.assess(one, baseline, QUAD).verdict == "fault"
                 count += 1
     assert faults <= 0.01 * count
 
@@ -210,7 +210,7 @@ def test_a_balance_that_moves_in_flight_is_ambiguous():
     spreads = [np.eye(3) * 1e-6] * 2
     moved = drawn(rng, QUAD, *spreads)
     moved = wf.Features.from_dict(moved.to_dict() | {"change": [0.0, 0.1, -0.1]})
-    result = wf.judge(moved, [drawn(rng, QUAD, *spreads)], QUAD)
+    result = wf.assess(moved, [drawn(rng, QUAD, *spreads)], QUAD)
     assert result.verdict == "ambiguous" and "changed in flight" in result.reason
 
 
@@ -221,21 +221,21 @@ def test_no_odds_are_claimed_that_few_flights_cannot_show():
     bent = drawn(rng, QUAD, *spreads, share=[1.6, 1.0, 1.0, 1.0])
     for count, words in ((1, "one flight cannot show that"), (3, "3 flights are too few to show that"), (12, "12 flights were")):
         baseline = [drawn(rng, QUAD, *spreads) for _ in range(count)]
-        result = wf.judge(bent, baseline, QUAD)
+        result = wf.assess(bent, baseline, QUAD)
         assert result.verdict == "fault" and result.p_value == wf.FALSE_FAULT
         assert "fewer than 1 in 100 healthy flights would differ by this much if they vary as assumed" in result.reason
         assert words in result.reason
         assert wf.rarity(bent, baseline) < 1e-3 * wf.FALSE_FAULT  # which orders flights, and is shown to nobody
 
 
-def test_a_rotor_at_its_limit_cannot_be_told_from_a_weight():
+def test_a_rotor_at_its_limit_cannot_be_reported_from_a_weight():
     rng = np.random.default_rng(4)
     spreads = [np.eye(3) * 1e-6] * 2
     flight = drawn(rng, QUAD, *spreads, share=[1.6, 1.0, 1.0, 1.0])
     baseline = [drawn(rng, QUAD, *spreads) for _ in range(2)]
-    assert wf.judge(flight, baseline, QUAD).verdict == "fault"
+    assert wf.assess(flight, baseline, QUAD).verdict == "fault"
     limited = wf.Features.from_dict(flight.to_dict() | {"limited": [0.5, 0.0, 0.0, 0.0]})
-    result = wf.judge(limited, baseline, QUAD)
+    result = wf.assess(limited, baseline, QUAD)
     assert result.verdict == "ambiguous" and "rotor 1 was at its limit 50 %" in result.reason
 
 
@@ -243,7 +243,7 @@ def test_opposite_rotors_of_a_hexa_balance_each_other():
     rng = np.random.default_rng(6)
     spreads = [np.eye(3) * 1e-6] * 2
     flight = drawn(rng, HEXA, *spreads, share=[1.3, 1.3, 1.0, 1.0, 1.0, 1.0])
-    result = wf.judge(flight, [drawn(rng, HEXA, *spreads)], HEXA)
+    result = wf.assess(flight, [drawn(rng, HEXA, *spreads)], HEXA)
     assert result.verdict == "healthy"  # as any equal loss: battery and payload do the same
     assert result.common == pytest.approx(np.log(1.1), abs=0.01)
 
@@ -253,13 +253,13 @@ def test_without_what_is_needed():
     spreads = [np.eye(3) * 1e-6] * 2
     flight = drawn(rng, QUAD, *spreads)
     nothing = wf._no_hover("ground", 4)
-    assert wf.judge(nothing, [flight], QUAD).verdict == "inconclusive"
-    assert wf.judge(flight, [nothing], QUAD).verdict == "inconclusive"
-    assert wf.judge(flight, [nothing, flight], QUAD).flights == 1
+    assert wf.assess(nothing, [flight], QUAD).verdict == "inconclusive"
+    assert wf.assess(flight, [nothing], QUAD).verdict == "inconclusive"
+    assert wf.assess(flight, [nothing, flight], QUAD).flights == 1
     with pytest.raises(ConfigError, match="healthy flights"):
-        wf.judge(flight, [], QUAD)
+        wf.assess(flight, [], QUAD)
     with pytest.raises(ConfigError, match="number of rotors"):
-        wf.judge(flight, [drawn(rng, HEXA, *spreads)], QUAD)
+        wf.assess(flight, [drawn(rng, HEXA, *spreads)], QUAD)
 
 
 def test_damaged_tables_are_refused():
@@ -303,8 +303,8 @@ def test_wind_is_not_damage_and_damage_is_seen_through_wind():
     assert baseline[0].slope == pytest.approx((-1.8, 1.8), abs=0.5)
     windy = of(hover(seed=7, gust=0.06))
     assert np.abs(windy.wrench[:2]).max() > 0.05  # wind shifts the raw balance as much as a quarter of a rotor's thrust
-    assert wf.judge(windy, baseline, QUAD).verdict == "healthy"
-    result = wf.judge(of(hover(0.3, rotor=3, seed=8, gust=0.06)), baseline, QUAD)
+    assert wf.assess(windy, baseline, QUAD).verdict == "healthy"
+    result = wf.assess(of(hover(0.3, rotor=3, seed=8, gust=0.06)), baseline, QUAD)
     assert result.verdict == "fault" and result.rotors == (3,)
     assert result.interval[2][0] < 0.3 < result.interval[2][1]
     assert result.loss[2] == pytest.approx(0.3, abs=0.08)
@@ -333,7 +333,7 @@ def verdicts(folder):
     found = {}
     for name, (features, vehicle, group) in flights.items():
         good = [f for other, (f, _, g) in flights.items() if g == group and other != name and _good(other)]
-        found[name] = (wf.judge(features, good, vehicle), group)
+        found[name] = (wf.assess(features, good, vehicle), group)
     return found
 
 
@@ -358,7 +358,7 @@ def test_no_two_flights_of_a_real_quad_accuse_a_wrong_rotor():
     found = {name: wf.features(flight, vehicle, airborne(flight)) for name, flight in flights.items()}
     for baseline in itertools.combinations([n for n in found if not n.startswith("2")], 2):
         for name in set(found) - set(baseline):
-            result = wf.judge(found[name], [found[n] for n in baseline], vehicle)
+            result = wf.assess(found[name], [found[n] for n in baseline], vehicle)
             assert result.verdict != "fault" or result.rotors == (1,), (name, baseline)
             if name.startswith("25_mm"):
                 assert result.verdict in ("fault", "ambiguous") and 1 in result.rotors, (name, baseline)

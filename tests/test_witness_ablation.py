@@ -42,12 +42,12 @@ def test_who_changes_events_or_the_view_is_heard():
         assert heard == ({name} if name != "quiet" else set())
 
 
-def test_flights_are_judged_again_without_witnesses_that_were_heard(monkeypatch):
+def test_flights_are_assessed_again_without_witnesses_that_were_heard(monkeypatch):
     every = witness_ablation.ALL
     rows = [("healthy", {every: "clean"}), ("healthy", {every: "clean", "rivals": "accused", "leaning": "clean"}),
             ("loss", {every: "right", "rivals": "among"})]  # fmt: skip
     monkeypatch.setattr(witness_ablation.tools, "gathered", lambda *_: rows)
-    found = witness_ablation.run(plan.from_table({**PLAN, "judge": "log", "kinds": [{"name": "healthy"}]}), 3)
+    found = witness_ablation.run(plan.from_table({**PLAN, "assess": "log", "kinds": [{"name": "healthy"}]}), 3)
     base, without = found["names"][witness_ablation.ALL], found["names"]["rivals"]
     assert found["flights"] == 3 and base["changed"] == 0 and base["loss right"] == 1
     assert (without["healthy vehicle accused"], without["loss right"], without["heard"], without["changed"]) == (1, 0, 2, 2)
@@ -58,5 +58,5 @@ def test_flights_are_judged_again_without_witnesses_that_were_heard(monkeypatch)
 
 
 def test_a_plan_of_ticks_is_refused():
-    with pytest.raises(ConfigError, match="judge = 'log'"):
+    with pytest.raises(ConfigError, match="assess = 'log'"):
         witness_ablation.run(plan.from_table(PLAN), 3)

@@ -1,7 +1,7 @@
 """Runs the steps of the Dockerfile without Docker: `python tools/image_steps.py ROOT`, where no container can be started.
 
 COPY and RUN of every stage are done in order below ROOT in the place of `/`, with this Python in the place of the image's. What needs
-root's rights (useradd, install -o) is shown and left out. At the end the image's command must judge the sample flights.
+root's rights (useradd, install -o) is shown and left out. At the end the image's command must assess the sample flights.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Makes a release and checks it: `python tools/release.py`, in an environment with the extra `release`.
 
 Checks the files for services by their schemas, builds the sdist, the pure wheel and the wheel with native code of this computer's kind
-twice and compares them, has them checked by twine, installs the native wheel into an empty environment, judges the sample flights there,
+twice and compares them, has them checked by twine, installs the native wheel into an empty environment, assesses the sample flights there,
 and writes the list of what was installed (SBOM, CycloneDX) and check sums. All goes to dist/. Nothing is uploaded.
 """
 
@@ -81,15 +81,15 @@ def build(folder: Path, no_isolation: bool = False, pure: bool = False) -> None:
 
 
 def try_wheel(wheel: Path, environment: Path, out: Path) -> None:
-    """Install the wheel into an empty environment, judge the sample flights with it, and write the SBOM of that environment to `out`."""
+    """Install the wheel into an empty environment, assess the sample flights with it, and write the SBOM of that environment to `out`."""
     venv.create(environment, with_pip=True)
     python = str(environment / "bin" / "python")
     _run(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", str(wheel))
     _run(python, "-m", "pip", "check")
     output = _run(str(environment / "bin" / "rotorwatch"), "demo", cwd=environment)
     if "FAULT FOUND" not in output or "HEALTHY" not in output:
-        raise SystemExit(f"the installed wheel does not judge the sample flights as it should:\n{output}")
-    _report("installed into an empty environment; the sample flights are judged")
+        raise SystemExit(f"the installed wheel does not assess the sample flights as it should:\n{output}")
+    _report("installed into an empty environment; the sample flights are assessed")
     bom = out / f"{wheel.name.split('-')[0]}-{wheel.name.split('-')[1]}.cdx.json"
     words = ["environment", "--output-reproducible", "--output-format", "JSON", "--output-file", str(bom), python]
     _run(sys.executable, "-m", "cyclonedx_py", *words)

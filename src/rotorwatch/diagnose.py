@@ -22,18 +22,18 @@ from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.engine.motion import mixing, turning
 from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.missed import without_missed
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, identity
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.flight.method_series import MethodSeries
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.logs import plausible
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 from rotorwatch.witnesses.healthy import baselines
 from rotorwatch.witnesses.healthy.baselines import Given
 
-PREPARED, OTHERS_PREPARED, ESTIMATED, JUDGED = 0.84, 0.5, 0.85, 0.97  # share of the work when that is done; by other estimators
+PREPARED, OTHERS_PREPARED, ESTIMATED, ASSESSED = 0.84, 0.5, 0.85, 0.97  # share of the work when that is done; by other estimators
 LONGEST_UP_US = 1e14  # a start later than that counts from 1970, not from the autopilot's boot
 
 
@@ -41,7 +41,7 @@ class Estimation(NamedTuple):
     """The result of an entry point of the group `rotorwatch.estimation`: run(estimator, table, B, dynamics, tuning, progress), which
     runs an estimator over the ticks of a flight.
 
-    out: on every tick, in the default estimator's form. series: the method's own estimate; None where no tick was judged. notes:
+    out: on every tick, in the default estimator's form. series: the method's own estimate; None where no tick was assessed. notes:
     assumptions, a sentence each. limit: log-likelihood ratio from which a loss is announced.
     """
 
@@ -78,7 +78,7 @@ def diagnose(
     """Which rotor lost effectiveness, how much, since when and how sure.
 
     flight: a Flight or a log file. vehicle: a Vehicle or its file; identified from the log when None. baseline: healthy
-    flights of the same build, which make damage that was there from take-off judgeable and shorten the blind time; one of them, or many.
+    flights of the same build, which make damage that was there from take-off assessable and shorten the blind time; one of them, or many.
     Those that are not healthy or not of this build are set aside, and `warnings` say so (witnesses/healthy/baselines.py).
     estimator: the default method, or another one by name, as a class, or as an instance, whose keywords are kept (`discovery.estimator`);
     tuning: of a published one (`rotorwatch.tune`).
@@ -110,9 +110,9 @@ def diagnose(
     done = estimated(case, estimator, tuning, portion(tell, prepared, ESTIMATED, "estimating"))
     case = case.by(done)
     clock.lap("estimate_s")
-    answer = case.answer(progress=portion(tell, ESTIMATED, JUDGED, "judging"))
+    answer = case.answer(progress=portion(tell, ESTIMATED, ASSESSED, "assessing"))
     if done.series is not None:
-        answer = answer._replace(end=by_method.told(answer.end, done.series))
+        answer = answer._replace(end=by_method.reported(answer.end, done.series))
     clock.lap("events_s")
     diagnosis = _diagnosis(case, answer, clock, estimator=discovery.title(estimator), **_beside(case, done, answer, clock))
     tell(1.0, "done")
@@ -170,8 +170,8 @@ def _beside(case: Case, done: Estimated, answer: Answer, clock: _Clock) -> dict[
     table, out, B, end = done.table, done.out, case.B, answer.end
     comparison = detectors.detect(case.flight, case.vehicle, case.air)
     clock.lap("comparison_s")
-    judged = (table.mode == JUDGE) & table.valid.any(axis=1)
-    common = common_mode.thrust_shift(out.biases[judged, 3]) if not answer.doubts and case.hovers else {}
+    assessed = (table.mode == ASSESS) & table.valid.any(axis=1)
+    common = common_mode.thrust_shift(out.biases[assessed, 3]) if not answer.doubts and case.hovers else {}
     times, hyp = (case.air, case.ready_s, done.limit), list_hypotheses(B.shape[1])
     trace = traces.compose(case.flight, out, table, hyp, B, *times, end.events, answer.evidence, end.rotors)
     facts = {"whole_flight": answer.facts.get("whole_flight"), "compared": tuple(c.to_dict() for c in answer.facts.get("compared", ()))}

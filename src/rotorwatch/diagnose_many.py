@@ -36,7 +36,7 @@ class Answer:
     """The result of one log. index: its place among the logs; path: its full path, or its address. diagnosis: without the trace; None
     where there is an error. size, sha256: of the content, where requested. page: the HTML report, where requested.
     recording: the MCAP file, picture: a PNG, tables: those of `report.parquet_tables`, likewise. parts: sections of a post. unchanged: it
-    is as it was known, and was not judged again."""
+    is as it was known, and was not assessed again."""
 
     index: int
     path: str
@@ -87,8 +87,8 @@ def diagnose_many(
     `diagnose`, for all logs. jobs, scheduler: as for `many.run`; by default a process per processor, fewer for few logs. The workers of a
     cluster have to find the same paths. pages: make HTML reports, too; recordings: MCAP files; pictures: PNGs, where there is something
     to draw; tables: pyarrow's tables of flights, ticks, losses and events (docs/parquet.md). hashed: size and SHA-256 of each log's
-    content. known: full path -> what it was when it had its answer; those that did not change are not judged again. Raises ConfigError,
-    VehicleError or LogError where no log can be judged: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
+    content. known: full path -> what it was when it had its answer; those that did not change are not assessed again. Raises ConfigError,
+    VehicleError or LogError where no log can be assessed: a folder without logs, a wrong vehicle or baseline, a scheduler that does not
     answer.
     """
     from rotorwatch.base.many.spread import run, useful_jobs
@@ -100,7 +100,7 @@ def diagnose_many(
         if not isinstance(source, Flight):
             read(source)  # an error in it would be every log's
     healthy = tuple(source if isinstance(source, Flight) else _named(source, scheduler) for source in baseline)
-    judge = _Judge(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed, matters, tables)
+    assess = _Assessor(craft, healthy, estimator, tuning, pages, recordings, pictures, hashed, matters, tables)
     if isinstance(paths, Sequence):
         paths = paths if isinstance(paths, gathering.Found) else list(gathering.Gathered(paths))
         if jobs is None and scheduler is None:
@@ -114,7 +114,7 @@ def diagnose_many(
             names[index] = gathering.full(path)
             yield _named(path, scheduler), known.get(names[index])
 
-    return _answers(run(judge, items(), jobs, scheduler), names)
+    return _answers(run(assess, items(), jobs, scheduler), names)
 
 
 def _answers(found: Iterator[Done], names: dict[int, str]) -> Iterator[Answer]:
@@ -140,8 +140,8 @@ def read(path: str | PathLike, progress: Any = None) -> Flight:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Judge:
-    """The work on one log, in any process; baselines are read and judged once by each process."""
+class _Assessor:
+    """The work on one log, in any process; baselines are read and assessed once by each process."""
 
     vehicle: Vehicle | None
     baseline: tuple[Flight | str, ...]

@@ -5,8 +5,8 @@ remounted propeller causes. Every flight has its own wind, payload (a weight hun
 aircraft's story (`STORIES`) is one of: nothing; wear that grows in proportion to hours in the air; damage from one flight on; wear, then an
 exchange that is noted as a service; or another place for its battery, which is no rotor's fault.
 
-The simulator flies each of them; the flight that its log would give is judged as any log, and stored. The truth goes into a file beside the
-store, which nothing but `score` reads.
+The simulator flies each of them; the flight that its log would give is assessed as any log, and stored. The truth goes into a file beside
+the store, which nothing but `score` reads.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ import numpy as np
 
 from rotorwatch.base import files
 from rotorwatch.flight import Flight, Message
-from rotorwatch.toolkit import Store, assess
-from rotorwatch.toolkit import fleet_judge as judge
+from rotorwatch.toolkit import Store, assess, flight_result
 
 SECONDS = 45.0
 BUILDS = (("quad-x", 0.6), ("hexa-x", 0.4))
@@ -174,7 +173,7 @@ def fly_fleet(
                     if logs:
                         _write(flight, folder / f"{story.name}-{k + 1:04d}.bin")
                     if paths[k] not in known:
-                        one = judge.of_flight(flight, hashlib.sha256(paths[k].encode()).hexdigest(), paths[k], 0)
+                        one = flight_result.of_flight(flight, hashlib.sha256(paths[k].encode()).hexdigest(), paths[k], 0)
                         added += store.add(replace(one, called=story.name))
                     if progress:
                         progress((number + (k + 1) / flights) / aircraft, "flying")
@@ -182,8 +181,8 @@ def fly_fleet(
             if story.exchange >= 0 and key and not store.services(key):
                 store.service(key, story.rotor + 1, "new propeller", _utc(FIRST + timedelta(days=story.exchange - 0.5)))
         assess.refresh(store, progress)
-    told = [vars(t) | {"loss": t.loss(flights - 1, flights)} for t in tales]
-    truth = {"seed": seed, "flights": flights, "aircraft": told}
+    reported = [vars(t) | {"loss": t.loss(flights - 1, flights)} for t in tales]
+    truth = {"seed": seed, "flights": flights, "aircraft": reported}
     with files.replacing(folder / TRUTH) as hidden:
         hidden.write_text(json.dumps(truth, indent=1) + "\n")
     return folder / TRUTH, added

@@ -30,7 +30,7 @@ PLAN = Path(__file__).parents[2] / "plans" / "default.toml"
 
 
 def prepare(folder: Path) -> None:
-    """Two short logs, which are judged in no time."""
+    """Two short logs, which are assessed in no time."""
     for sample in sorted(SAMPLES.glob("*.bin.xz")):
         LOGS.append(folder / sample.name.removesuffix(".xz"))
         write_dataflash(logs.read(sample).until(25.0), LOGS[-1])
@@ -80,8 +80,8 @@ def fleet(folder: Path, env: Mapping[str, str]) -> Done:
     store = folder / "fleet.db"
     done = _run("fleet", "add", *LOGS, "--store", store, "--jobs", "1", env=env)
     said = [line for line in done.stdout.splitlines() if ".bin" in line]
-    told = tuple((log.name, line.split()[0]) for log in LOGS for line in said if log.name in line)
-    return Done(done.returncode, done.stderr, told, stored(store))
+    reported = tuple((log.name, line.split()[0]) for log in LOGS for line in said if log.name in line)
+    return Done(done.returncode, done.stderr, reported, stored(store))
 
 
 def delete(folder: Path, env: Mapping[str, str]) -> Done:
@@ -124,14 +124,14 @@ def serve(folder: Path, env: Mapping[str, str]) -> Done:
         try:
             assert server.stdout
             address = server.stdout.readline().strip()
-            told = tuple(filter(None, (_sent(address, log) for log in LOGS))) if address else ()
+            reported = tuple(filter(None, (_sent(address, log) for log in LOGS))) if address else ()
             server.terminate()
             code = server.wait(60.0)
         finally:
             server.kill()
         errors.seek(0)
         text = errors.read()
-    return Done(code, text, told, stored(store), waits=True)
+    return Done(code, text, reported, stored(store), waits=True)
 
 
 def _sent(address: str, log: Path) -> tuple[str, str] | None:
@@ -139,8 +139,8 @@ def _sent(address: str, log: Path) -> tuple[str, str] | None:
     asked = urllib.request.Request(f"{address.rstrip('/')}/api/flights", data=log.read_bytes(), headers={"X-Rotorwatch-Name": log.name})
     try:
         with urllib.request.urlopen(asked, timeout=60.0) as answer:
-            told = json.load(answer)
-            return told["name"], told["verdict"]
+            reported = json.load(answer)
+            return reported["name"], reported["verdict"]
     except urllib.error.HTTPError as why:
         text = why.read().decode()
         assert why.code in (500, 503, 507) and str(log.parent) not in text and "Traceback" not in text, (why.code, text)
@@ -160,8 +160,8 @@ def watch(folder: Path, env: Mapping[str, str]) -> Done:
         done = _run(
             "watch", f"tcp:127.0.0.1:{server.getsockname()[1]}", "--jsonl", "--record", folder / "record", "--seconds", "5", env=env
         )  # fmt: skip
-    told = [json.loads(line) for line in done.stdout.splitlines()]
-    state = tuple((alert["frame"], alert["rotors"]) for alert in told if alert["type"] == "vehicle")
+    reported = [json.loads(line) for line in done.stdout.splitlines()]
+    state = tuple((alert["frame"], alert["rotors"]) for alert in reported if alert["type"] == "vehicle")
     return Done(done.returncode, done.stderr + done.stdout, (), state, goes_on="cannot be reached" not in done.stderr)
 
 

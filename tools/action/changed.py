@@ -1,7 +1,8 @@
-"""The logs that a pull request adds or changes, for judge.sh: `changed.py BASE FILE` writes their paths into FILE, a zero byte behind each.
+"""The logs that a pull request adds or changes, for assess.sh: `changed.py BASE FILE` writes their paths into FILE, a zero byte behind
+each.
 
 BASE: the commit that the pull request is compared with; one that a shallow checkout lacks is fetched. Prints what a runner shows. Leaves
-with 2 where it cannot be told what has changed: what is not judged must not pass.
+with 2 where it cannot be known what has changed: what is not assessed must not pass.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ FIX = "give actions/checkout `fetch-depth: 0`, or name the logs in the input 'lo
 
 
 class Unknown(Exception):
-    """What has changed cannot be told. The text is one sentence."""
+    """What has changed cannot be known. The text is one sentence."""
 
 
 def git(*words: str) -> bytes:

@@ -39,7 +39,7 @@ const AP_Param::GroupInfo AP_RotorDiagnosis::var_info[] = {
 
     // @Param: TEXT
     // @DisplayName: Text messages to the ground station
-    // @Description: The least grave events that are told of. Everything is logged, whatever this says.
+    // @Description: The least grave events that are reported. Everything is logged, whatever this says.
     // @Values: 0:Nothing,2:Critical,4:Also warnings,5:Also notices,6:Everything
     // @User: Standard
     AP_GROUPINFO("TEXT", 2, AP_RotorDiagnosis, _text, 5),
@@ -128,7 +128,7 @@ struct AP_RotorDiagnosis::Work {
 
     HAL_Semaphore sem;
     float loss[RW_ROTORS] {};
-    uint8_t verdict = RW_NOT_JUDGED;
+    uint8_t verdict = RW_NOT_ASSESSED;
 };
 
 AP_RotorDiagnosis::AP_RotorDiagnosis()
@@ -393,7 +393,7 @@ float AP_RotorDiagnosis::loss(uint8_t rotor)
 uint8_t AP_RotorDiagnosis::verdict()
 {
     if (_work == nullptr) {
-        return RW_NOT_JUDGED;
+        return RW_NOT_ASSESSED;
     }
     WITH_SEMAPHORE(_work->sem);
     return _work->verdict;

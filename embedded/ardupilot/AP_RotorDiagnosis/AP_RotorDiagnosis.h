@@ -12,7 +12,7 @@
  *   RWEV  an event that is new (What 0), changed (1) or withdrawn (2). Kind: 0 loss of effectiveness, 1 output overridden, 2 contact, 9 mount.
  *         Rot, Alt: masks of rotors, bit 0 is motor 1; Alt is the likeliest other set, 0 without. On, End: s since boot; End 0 while it lasts.
  *         P: probability of the set, of a loss .975 at most. L1 to L4: losses of the set's rotors, 0 to 1, in their order; Lo, Hi: of the first one, 95 %.
- *   RWLS  five times a second: verdict (0 not judged, 1 healthy so far, 2 fault, 3 ambiguous), samples that found the queue full, and
+ *   RWLS  five times a second: verdict (0 not assessed, 1 healthy so far, 2 fault, 3 ambiguous), samples that found the queue full, and
  *         losses of motors 1 to 12.
  */
 #pragma once
@@ -36,7 +36,7 @@ public:
     // What is seen at this moment: a task of the scheduler, at the rate of the main loop.
     void update();
 
-    // What is known now. Loss of effectiveness of a rotor, counted from 0: 0 healthy, 1 dead; 0: not judged, 1: healthy so far, 2: fault,
+    // What is known now. Loss of effectiveness of a rotor, counted from 0: 0 healthy, 1 dead; 0: not assessed, 1: healthy so far, 2: fault,
     // 3: ambiguous.
     float loss(uint8_t rotor);
     uint8_t verdict();

@@ -406,7 +406,7 @@ void RotorWatchDiagnoser::rely(rotorwatch_verdict_s &verdict)
 int RotorWatchDiagnoser::print_status()
 {
 	// What was published last: this is called from another thread than the worker's.
-	static const char *const words[] = {"not judged", "healthy so far", "fault found", "ambiguous"};
+	static const char *const words[] = {"not assessed", "healthy so far", "fault found", "ambiguous"};
 	uORB::Subscription last{ORB_ID(rotorwatch_verdict)};
 	rotorwatch_verdict_s verdict{};
 

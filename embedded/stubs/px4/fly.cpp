@@ -45,8 +45,8 @@ static int verdict = 0;
 
 namespace uORB
 {
-void told(orb_id_t topic, const void *data);
-void told(orb_id_t topic, const void *data)
+void reported(orb_id_t topic, const void *data);
+void reported(orb_id_t topic, const void *data)
 {
 	if (topic != ORB_ID(rotorwatch_verdict)) { return; }
 

@@ -71,12 +71,12 @@ bool SubscriptionInterval::copy(void *dst)
 }
 bool SubscriptionCallbackWorkItem::registerCallback() { return _work_item != nullptr; }
 void SubscriptionCallbackWorkItem::unregisterCallback() {}
-void told(orb_id_t topic, const void *data) __attribute__((weak));
+void reported(orb_id_t topic, const void *data) __attribute__((weak));
 bool PublicationBase::put(const void *data)
 {
 	World::publish(_meta, data);
 
-	if (told != nullptr) { told(_meta, data); }
+	if (reported != nullptr) { reported(_meta, data); }
 
 	return true;
 }

@@ -4,7 +4,7 @@ wording.py      the words for numbers, rotors and events
 places.py       the location of a rotor, in words
 health.py       grade of every rotor's loss, and its trend
 trend.py        slope of a line under errors that wander, with its interval
-unjudged.py     why a flight could not be judged, or shows too little, and what would show more
+unassessed.py     why a flight could not be assessed, or shows too little, and what would show more
 unseen.py       the largest undetected loss, and lasting steps that wind could mask
 drift.py        the trim of a whole flight: losses that grew, mounts and arms that turned
 slow.py         losses that grew slowly or only seemed to end, merged with the others

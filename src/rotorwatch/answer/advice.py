@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from rotorwatch.answer.unjudged import OUTPUTS
+from rotorwatch.answer.unassessed import OUTPUTS
 from rotorwatch.answer.wording import BASELINE, listed, rotors, said, seconds, sentence
 from rotorwatch.engine.events.decisions import TOTAL_LOSS
 from rotorwatch.flight.diagnosis import Event, RotorState

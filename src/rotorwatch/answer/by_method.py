@@ -17,7 +17,7 @@ from rotorwatch.flight.method_series import SET, MethodSeries
 AFTER_S = 2.0
 
 
-def told(end: Conclusion, itself: MethodSeries) -> Conclusion:
+def reported(end: Conclusion, itself: MethodSeries) -> Conclusion:
     """The conclusion with the method's name in its headline, and its own estimate at every loss."""
     events = tuple(_with_own(event, itself) for event in end.events)
     return end._replace(headline=_headline(end, events, itself), events=events)

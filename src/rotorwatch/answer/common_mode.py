@@ -14,9 +14,9 @@ LEAST = 4  # ticks in a block
 
 
 def thrust_shift(collective: np.ndarray) -> dict[str, Any]:
-    """Change of the collective thrust that the same motion needs, from the first third of the judged time to the last third.
+    """Change of the collective thrust that the same motion needs, from the first third of the assessed time to the last third.
 
-    collective (T,): thrust [hover thrusts of one rotor] at each judged tick beyond what the motion explains. Each third is divided into
+    collective (T,): thrust [hover thrusts of one rotor] at each assessed tick beyond what the motion explains. Each third is divided into
     blocks whose medians are compared by Student's t-test with equal variances, so that a landing or a climb, confined to one block, widens
     the interval and does not appear as a change. Empty where there are too few ticks."""
     third = len(collective) // 3

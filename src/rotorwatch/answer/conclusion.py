@@ -30,13 +30,13 @@ NOT_A_ROTOR = {
     "saturated": "they were at their limit",
     "power": "the power failed",
 }
-LEAST_S = 3.0  # of judged flight, below which no rotor is called healthy
+LEAST_S = 3.0  # of assessed flight, below which no rotor is called healthy
 MOST_NOTICES = 3  # notices of no rotor in a headline: the first ones
 ALIKE = 0.05  # bounds of rotors that differ by less point to none
 LANDED_S = 1.5
 REPEATS, REGULAR = 3, 0.15  # cut-outs of one rotor; share of their period by which each may differ
 SHORT_S = 20.0  # of flight, below which tenths of a second are shown
-UNJUDGED = "Damage present at take-off was not assessed."
+UNASSESSED = "Damage present at take-off was not assessed."
 INVISIBLE = (0.0, 1.0)
 OFF_MIDDLE = "the centre of mass is offset"
 AFTER_KNOCK = "Inspect the vehicle, then fly it again for at least 30 s."
@@ -65,11 +65,11 @@ def conclude(seen: Evidence, doubts: Sequence[str] = ()) -> Conclusion:
     """The answer to a flight. doubts: reasons why the log may not show the real flight; with any, nothing is concluded from its outputs."""
     if doubts:
         seen = Evidence(
-            ledger.believed(seen.events), seen.n, judged_s=seen.judged_s, places=seen.places, hops=seen.hops, settings=seen.settings
+            ledger.believed(seen.events), seen.n, assessed_s=seen.assessed_s, places=seen.places, hops=seen.hops, settings=seen.settings
         )
-        said_first = _with_reports(seen, None, [_not_judged(doubts[0])])
+        said_first = _with_reports(seen, None, [_not_assessed(doubts[0])])
         return _concluded(seen, "inconclusive", doubts[0], said_first, None, doubts)
-    seen = seen._replace(events=tuple(e.stated() for e in seen.events), hidden=seen.hidden if seen.judged_s >= LEAST_S else None)
+    seen = seen._replace(events=tuple(e.stated() for e in seen.events), hidden=seen.hidden if seen.assessed_s >= LEAST_S else None)
     main = main_event(seen.events)
     verdict, reason = _verdict(seen, main)
     return _concluded(seen, verdict, reason, _headline(seen, verdict, main), main, ())
@@ -92,7 +92,7 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
         seen.settings,
     )
     story_lines = story.narrate(seen.events, main, seen.n, seen.places, seen.hops, not doubts)
-    fit, causes = fitness.judge(verdict, seen.events, states, next_steps), () if doubts else fitness.causes(seen, main)
+    fit, causes = fitness.assess(verdict, seen.events, states, next_steps), () if doubts else fitness.causes(seen, main)
     steps = next_steps.checks + next_steps.surer
     return Conclusion(verdict, reason, first, main, states, steps, tuple(seen.events), story_lines, fit, causes)
 
@@ -100,8 +100,8 @@ def _concluded(seen: Evidence, verdict, reason, first, main, doubts) -> Conclusi
 # Verdict and words
 
 
-def _not_judged(why: str) -> str:
-    """The headline of a log without any judged time: the reason, without its consequences."""
+def _not_assessed(why: str) -> str:
+    """The headline of a log without any assessed time: the reason, without its consequences."""
     return sentence(f"not assessed: {re.split('[:;] ', why)[0].rstrip('.')}.")
 
 
@@ -110,7 +110,7 @@ def _better_log(seen: Evidence, main: int | None, verdict: str) -> str:
     if verdict != "inconclusive" or main is not None or seen.missing:
         return ""
     known = seen.hidden is not None and not seen.vague
-    return AFTER_KNOCK if known else seen.unjudged.advice
+    return AFTER_KNOCK if known else seen.unassessed.advice
 
 
 def _bounded(seen: Evidence) -> bool:
@@ -140,8 +140,8 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     if whole and whole["verdict"] == "ambiguous":
         return "ambiguous", whole["reason"]
     if seen.hidden is None:
-        why = _missing(seen) or seen.unjudged.why
-        some = f"; {seen.judged_s:.1f} s of flight could be assessed" if seen.judged_s >= 0.1 else ""
+        why = _missing(seen) or seen.unassessed.why
+        some = f"; {seen.assessed_s:.1f} s of flight could be assessed" if seen.assessed_s >= 0.1 else ""
         return "inconclusive", f"{why}{some}."
     if (spell := _lasting(seen)) is not None:
         return "ambiguous", f"{_as_if(spell, ())}: a loss masked by wind, or a change of wind."
@@ -154,18 +154,18 @@ def _verdict(seen: Evidence, main: int | None) -> tuple[str, str]:
     slow = "".join(f"; but {rotors([k])} {grows(t)}" for k, t in seen.growing)
     unseen = f"a loss of up to {_bound(seen)} could have gone undetected"
     flown = seen.flown_s
-    of = f", of {flown:.{0 if flown > SHORT_S else 1}f} s in the air" if flown > 1.5 * seen.judged_s else ""
-    healthy = f"no rotor lost effectiveness in {seen.judged_s:.0f} s of assessed flight{of}, {scope}{slow}; {unseen}"
+    of = f", of {flown:.{0 if flown > SHORT_S else 1}f} s in the air" if flown > 1.5 * seen.assessed_s else ""
+    healthy = f"no rotor lost effectiveness in {seen.assessed_s:.0f} s of assessed flight{of}, {scope}{slow}; {unseen}"
     if seen.missing:
         return "inconclusive", f"{_missing(seen)}, so nothing can be assessed after that; until then {healthy}."
     if seen.vague:
-        return "inconclusive", f"{healthy}, and more than {percent(seen.matters)} would matter: {seen.unjudged.why}."
+        return "inconclusive", f"{healthy}, and more than {percent(seen.matters)} would matter: {seen.unassessed.why}."
     if seen.knocked_s is not None:
         return "inconclusive", f"{healthy}; damage from the contact at {seconds(seen.knocked_s)} could not be assessed."
     if slow:
         return "ambiguous", f"{healthy}; slowly changing wind or load would look the same."
     if seen.patchy:
-        return "inconclusive", f"{healthy}; the rest of {flown:.0f} s in the air was not assessed: {seen.unjudged.why}."
+        return "inconclusive", f"{healthy}; the rest of {flown:.0f} s in the air was not assessed: {seen.unassessed.why}."
     return "healthy", f"{healthy}."
 
 
@@ -244,8 +244,8 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     if verdict == "healthy" and (not seen.compared or seen.bound is not None):
         first = f"No rotor lost thrust after {seen.start}."
     if verdict == "healthy" and knocks:
-        first = f"No rotor lost thrust in the {seen.judged_s:.0f} s that were assessed."
-    parts, caveats = [first], [UNJUDGED]
+        first = f"No rotor lost thrust in the {seen.assessed_s:.0f} s that were assessed."
+    parts, caveats = [first], [UNASSESSED]
     if seen.lost is not None:
         parts.append(said(seen.lost.means.headline, seen.lost))
     if verdict == "healthy" and max(seen.unseen, seen.hidden_pair) >= dict(SCALE)["weak"]:
@@ -254,7 +254,7 @@ def _headline(seen: Evidence, verdict: str, main: int | None) -> str:
     if event is not None or verdict != "ambiguous":
         parts += [sentence(f"{rotors([k], seen.places)} {grows(t)}.") for k, t in seen.growing]
     if verdict == "healthy" and not seen.compared:
-        parts.append(UNJUDGED)
+        parts.append(UNASSESSED)
     elif verdict == "healthy" and seen.bound is not None:
         parts.append(_lopsided(seen))
         caveats.append(parts[-1])
@@ -282,12 +282,12 @@ def _inconclusive(seen: Evidence) -> str:
     if seen.missing and seen.hidden is not None:
         return f"No rotor lost thrust until {seconds(seen.missing_s)}. After that nothing can be said: {_missing(seen)}."
     if seen.hidden is None:
-        return _not_judged(_missing(seen) or seen.unjudged.why)
+        return _not_assessed(_missing(seen) or seen.unassessed.why)
     if not seen.vague and seen.knocked_s is not None:
         return f"No loss was detected until the contact at {seconds(seen.knocked_s)}. Damage from it could not be assessed."
     if not seen.vague and seen.patchy:
-        return f"No loss was detected in the {seen.judged_s:.0f} s assessed of {seen.flown_s:.0f} s in the air: {seen.unjudged.why}."
-    return f"No loss was detected, but a loss of up to {_bound(seen)} could have gone undetected: {seen.unjudged.why}."
+        return f"No loss was detected in the {seen.assessed_s:.0f} s assessed of {seen.flown_s:.0f} s in the air: {seen.unassessed.why}."
+    return f"No loss was detected, but a loss of up to {_bound(seen)} could have gone undetected: {seen.unassessed.why}."
 
 
 def _notices_beside(seen: Evidence, main: Event | None) -> list[Event]:
@@ -389,15 +389,15 @@ def _from_the_start(seen: Evidence, whole: Mapping[str, Any]) -> str:
 
 
 def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
-    """The rotor at the end of the judged flight, by the first of these that applies: nothing could be judged; a certain loss that lasts;
-    damage from take-off on; a certain impairment; suspicion; healthy."""
+    """The rotor at the end of the assessed flight, by the first of these that applies: nothing could be assessed; a certain loss that
+    lasts; damage from take-off on; a certain impairment; suspicion; healthy."""
     whole = seen.compared
     from_takeoff = _from_takeoff(whole, rotor, verdict, seen)
 
     def state(loss, bounds, status, note="", since=None):
         low, high = float(bounds[0]), float(bounds[1])
         clear = status not in ("unobservable", "suspect") or (status == "suspect" and _growth(seen, rotor) is not None)
-        interval = since if since is not None and from_takeoff in ("not judged", "bounded") else (low, high)
+        interval = since if since is not None and from_takeoff in ("not assessed", "bounded") else (low, high)
         # The steady state before control was lost does not hold for the rotor after it.
         trend = seen.trends[rotor - 1] if clear and seen.trends and seen.lost is None else None
         vague = status == "unobservable" or (status == "healthy" and seen.lost is not None)
@@ -447,7 +447,7 @@ def _state(seen: Evidence, rotor: int, verdict: str) -> RotorState:
 def _from_takeoff(whole: Mapping[str, Any] | None, rotor: int, verdict: str, seen: Evidence) -> str:
     """The state of a rotor from take-off on, by the comparison with healthy flights or vehicles."""
     if not whole or (verdict in UNKNOWING and not _bounded(seen)):
-        return "not judged"
+        return "not assessed"
     # Those of healthy vehicles are only the explanations that are not excluded.
     likely = {r for c in whole.get("causes", ()) if c["probability"] > MENTIONED or not seen.whole for r in c["rotors"]}
     if whole["verdict"] == "fault" and rotor in whole["rotors"]:
@@ -528,5 +528,5 @@ def _worked(seen: Evidence, rotor: int) -> str:
 
 
 def _landed(seen: Evidence, end_s: float | None) -> bool:
-    """True if an event ended with a landing, before another take-off: its continuation was not judged."""
+    """True if an event ended with a landing, before another take-off: its continuation was not assessed."""
     return end_s is not None and any(abs(end_s - down) < LANDED_S for _, down in seen.hops[:-1])

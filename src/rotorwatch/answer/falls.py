@@ -15,7 +15,7 @@ from rotorwatch.flight.kinds import CONTACT, LOSS, LOST, ORDER, OVERRIDE, REPORT
 
 if TYPE_CHECKING:
     from rotorwatch.witnesses.upset.explain import Explanation
-    from rotorwatch.witnesses.upset.find import Judged
+    from rotorwatch.witnesses.upset.find import Assessed
     from rotorwatch.witnesses.upset.loss_of_control import LossOfControl
     from rotorwatch.witnesses.upset.spinning import FliesOn, Off
 
@@ -30,7 +30,7 @@ EARLIER_S = 3.0  # a partial loss of the rotor that then stops
 STOPPED_S = 1.0  # after that, within which the stop of the motors is logged
 
 
-def events(found: Sequence[Judged], known: Sequence[Event], n: int) -> tuple[Event, ...]:
+def events(found: Sequence[Assessed], known: Sequence[Event], n: int) -> tuple[Event, ...]:
     """The events `known` of a flight of n rotors with those of its losses of control.
 
     Announcements after control was lost, by a method that assumes hover, are replaced."""
@@ -77,75 +77,75 @@ def _announced_near(events_, left: LossOfControl) -> Event | None:
     return near[0] if near else None
 
 
-def _merged(events_: list[Event], judged: Judged, n: int) -> list[Event]:
+def _merged(events_: list[Event], assessed: Assessed, n: int) -> list[Event]:
     """The events with the loss of control and the losses of its rotors, less those that it explains."""
-    left, window = judged.left, judged.window
-    if judged.spin is not None and judged.spin.off:
-        return _flown(events_, judged, n)
+    left, window = assessed.left, assessed.window
+    if assessed.spin is not None and assessed.spin.off:
+        return _flown(events_, assessed, n)
     weak = _weak(events_, left)
-    if weak is not None and judged.cause in ("rotor", "saturated", "unknown", "controller"):
+    if weak is not None and assessed.cause in ("rotor", "saturated", "unknown", "controller"):
         since = f"{_who(weak.rotors)} had been weak since {weak.onset_s:.1f} s"
-        judged = judged._replace(cause="rotor", found=(), evidence=(since,))
-        return [*events_, _control_lost(judged, n, weak.rotors, (), left.lost)]
-    touched = any(e.kind == CONTACT and 0.0 <= judged.onset - e.onset_s < TOUCHED_S for e in events_)
-    if judged.cause == "unknown" and touched:
-        judged = judged._replace(cause="knock", evidence=("something had struck the vehicle just before",))
+        assessed = assessed._replace(cause="rotor", found=(), evidence=(since,))
+        return [*events_, _control_lost(assessed, n, weak.rotors, (), left.lost)]
+    touched = any(e.kind == CONTACT and 0.0 <= assessed.onset - e.onset_s < TOUCHED_S for e in events_)
+    if assessed.cause == "unknown" and touched:
+        assessed = assessed._replace(cause="knock", evidence=("something had struck the vehicle just before",))
     announced = _announced_near(events_, left)
-    cleared = judged.found and judged.found[0].kind == "healthy" and judged.probability[0] > SURE
-    if announced is not None and judged.cause in ("controller", "saturated", "unknown") and not cleared:
-        judged = judged._replace(cause="rotor", found=(), evidence=(announced.reason,))
-        return [*events_, _control_lost(judged, n, announced.rotors, announced.alternatives, left.lost)]
+    cleared = assessed.found and assessed.found[0].kind == "healthy" and assessed.probability[0] > SURE
+    if announced is not None and assessed.cause in ("controller", "saturated", "unknown") and not cleared:
+        assessed = assessed._replace(cause="rotor", found=(), evidence=(announced.reason,))
+        return [*events_, _control_lost(assessed, n, announced.rotors, announced.alternatives, left.lost)]
     decided = left.lost if window is None else float(window.time[-1])
-    rotors = [(e, float(p)) for e, p in zip(judged.found, judged.probability) if e.kind == "rotor" and p >= CREDIBLE]
-    whole = [p for e, p in zip(judged.found, judged.probability) if e.kind == "common" and p >= CREDIBLE]
+    rotors = [(e, float(p)) for e, p in zip(assessed.found, assessed.probability) if e.kind == "rotor" and p >= CREDIBLE]
+    whole = [p for e, p in zip(assessed.found, assessed.probability) if e.kind == "common" and p >= CREDIBLE]
     others = tuple((e.rotors[0] + 1,) for e, _ in rotors[1:]) + ((tuple(range(1, n + 1)),) if whole else ())
     rotor_probability = sum(p for _, p in rotors)
     # An explanation that is likelier than others and leaves motion that it does not explain accuses no rotor.
-    doubted = judged.cause == "unknown" and rotor_probability > 1.0 - SURE and bool(rotors) and rotors[0][0].fits
-    accused = (judged.cause == "rotor" and bool(rotors)) or doubted
+    doubted = assessed.cause == "unknown" and rotor_probability > 1.0 - SURE and bool(rotors) and rotors[0][0].fits
+    accused = (assessed.cause == "rotor" and bool(rotors)) or doubted
     rotor = (rotors[0][0].rotors[0] + 1,) if accused else ()
     # Announcements before the departure stay, unless the departure shows another rotor.
-    stands = -np.inf if accused or judged.cause == ORDER else left.onset
+    stands = -np.inf if accused or assessed.cause == ORDER else left.onset
     result, same = [], None
     for e in events_:
-        late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(judged.found)
+        late = e.onset_s > left.onset - SAME_S and e.kind in (LOSS, OVERRIDE) and bool(assessed.found)
         if late and e.kind == LOSS and e.rotors == rotor and same is None:
             same = e
         elif not late or e.detected_s < stands or (e.kind == OVERRIDE and e.onset_s <= left.lost):
             result.append(e)
     held = [e for e in result if e.kind == OVERRIDE and left.onset - SAME_S < e.onset_s <= left.lost]
-    if held and judged.cause not in ("rotor", ORDER):  # an output that overrides the mixer is the cause
-        judged = judged._replace(cause="rotor", evidence=(held[0].reason,))
-        return [*result, _control_lost(judged._replace(found=()), n, held[0].rotors, (), decided)]
+    if held and assessed.cause not in ("rotor", ORDER):  # an output that overrides the mixer is the cause
+        assessed = assessed._replace(cause="rotor", evidence=(held[0].reason,))
+        return [*result, _control_lost(assessed._replace(found=()), n, held[0].rotors, (), decided)]
     if accused:
         best, p = rotors[0]
-        sure = p > SURE and judged.cause == "rotor" and best.low > 0.0  # a fault has a loss above 0
+        sure = p > SURE and assessed.cause == "rotor" and best.low > 0.0  # a fault has a loss above 0
         others = () if sure else others or (tuple(range(1, n + 1)),)
         if same is None or others != same.alternatives:
-            result.append(_loss(best, p, others, n, decided, judged))
+            result.append(_loss(best, p, others, n, decided, assessed))
         else:  # announced already, from a few ticks after hover: a certain result from the fall prevails
             sizes = {"loss": (best.size,), "interval": ((best.low, best.high),)}
             result.append(replace(same, **sizes) if best.low > same.interval[0][1] else same)
-        result.append(_control_lost(judged, n, rotor, others, decided))
-    elif judged.cause == ORDER:
+        result.append(_control_lost(assessed, n, rotor, others, decided))
+    elif assessed.cause == ORDER:
         others = tuple(
             tuple(r + 1 for r in e.rotors)
-            for e, p in zip(judged.found[1:], judged.probability[1:])
-            if e.kind == "order" and p >= CREDIBLE and judged.probability[0] < SURE
+            for e, p in zip(assessed.found[1:], assessed.probability[1:])
+            if e.kind == "order" and p >= CREDIBLE and assessed.probability[0] < SURE
         )
-        result.append(_order(judged.found[0], float(judged.probability[0]), others, decided))
-        result.append(_control_lost(judged, n, tuple(r + 1 for r in judged.found[0].rotors), others, decided))
+        result.append(_order(assessed.found[0], float(assessed.probability[0]), others, decided))
+        result.append(_control_lost(assessed, n, tuple(r + 1 for r in assessed.found[0].rotors), others, decided))
     else:
         result.append(
-            _control_lost(judged, n, (), tuple((e.rotors[0] + 1,) for e, _ in rotors) if judged.cause == "unknown" else (), decided)
+            _control_lost(assessed, n, (), tuple((e.rotors[0] + 1,) for e, _ in rotors) if assessed.cause == "unknown" else (), decided)
         )
     return result
 
 
-def _flown(events_: list[Event], judged: Judged, n: int) -> list[Event]:
+def _flown(events_: list[Event], assessed: Assessed, n: int) -> list[Event]:
     """The events of a vehicle that spins and flies on without rotors: the balance at any attitude and rate replaces what assumes hover,
     from the first loss on. An announcement of the same rotor stays, as the earlier one."""
-    spin = judged.spin
+    spin = assessed.spin
     assert spin is not None
     begun = min(o.onset for o in spin.off) - SAME_S
     left = list(spin.off)
@@ -161,8 +161,8 @@ def _flown(events_: list[Event], judged: Judged, n: int) -> list[Event]:
             named.append(replace(e, onset_s=onset, alternatives=(), interval=((e.interval[0][0], 1.0),), end_s=off.end))
     named += [_went_off(off) for off in left]
     first = min(named, key=lambda e: e.onset_s)
-    judged = judged._replace(cause="rotor", found=(), onset=max(judged.onset, first.onset_s), evidence=(first.reason,))
-    return [*result, *named, _control_lost(judged, n, first.rotors, (), judged.left.lost)]
+    assessed = assessed._replace(cause="rotor", found=(), onset=max(assessed.onset, first.onset_s), evidence=(first.reason,))
+    return [*result, *named, _control_lost(assessed, n, first.rotors, (), assessed.left.lost)]
 
 
 def _first(event: Event, off: Sequence[Off]) -> Off | None:
@@ -186,9 +186,9 @@ def _who(rotors: Sequence[int]) -> str:
     return ("rotor " if len(rotors) == 1 else "rotors ") + " and ".join(map(str, rotors))
 
 
-def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: Judged) -> Event:
+def _loss(best: Explanation, p: float, others, n: int, decided: float, assessed: Assessed) -> Event:
     rotor = best.rotors[0] + 1
-    onset = min(best.onset, judged.left.onset)
+    onset = min(best.onset, assessed.left.onset)
     how = f"as it would without {'the' if best.size > 0.5 else 'part of the'} thrust of rotor {rotor}"
     if best.gives:
         how = f"as if rotor {rotor} were stuck at {best.gives:.1f} times hover thrust"
@@ -196,7 +196,7 @@ def _loss(best: Explanation, p: float, others, n: int, decided: float, judged: J
     if others:
         who = ", ".join("all rotors alike" if len(o) == n else "+".join(map(str, o)) for o in others)
         reason += f", but {who} may have failed instead"
-    reason += "; found in hindsight from the motion up to the impact" if judged.left.impact else "; found in hindsight"
+    reason += "; found in hindsight from the motion up to the impact" if assessed.left.impact else "; found in hindsight"
     return Event(
         LOSS, (rotor,), onset, decided, None, (best.size,), ((best.low, best.high),), p, others, reason,
         {"live": False, "loss_2s": [best.size], **({"gives": round(best.gives, 2)} if best.gives else {})},
@@ -226,29 +226,29 @@ CAUSES = {
 }
 
 
-def _control_lost(judged: Judged, n: int, named, others, decided: float) -> Event:
-    left = judged.left
-    fell = judged.fell
+def _control_lost(assessed: Assessed, n: int, named, others, decided: float) -> Event:
+    left = assessed.left
+    fell = assessed.fell
     end = left.ground if fell and left.end is None else left.end
-    worked = _worked(judged, n, named, others, decided)
-    spin = judged.spin
+    worked = _worked(assessed, n, named, others, decided)
+    spin = assessed.spin
     how = left.what if spin is None else f"turning {spin.turns:.0f} times a second"
-    reason = f"the vehicle departed controlled flight at {judged.onset:.1f} s, {how}: {CAUSES[judged.cause]}"
-    reason += "".join(f"; {disarmed}" for disarmed in judged.evidence)
+    reason = f"the vehicle departed controlled flight at {assessed.onset:.1f} s, {how}: {CAUSES[assessed.cause]}"
+    reason += "".join(f"; {disarmed}" for disarmed in assessed.evidence)
     if spin is not None:
         reason += f"; it flew on, spinning, from {spin.since:.1f} to {spin.until:.1f} s"
     if fell:
         reason += f"; it hit the ground at {left.ground:.1f} s"
     p = (
-        float(sum(judged.probability[k] for k, e in enumerate(judged.found) if e.kind == "rotor"))
-        if judged.cause == "rotor" and judged.found
+        float(sum(assessed.probability[k] for k, e in enumerate(assessed.found) if e.kind == "rotor"))
+        if assessed.cause == "rotor" and assessed.found
         else 1.0
     )
     return Event(
-        LOST, tuple(named), judged.onset, left.lost, end, (), (), p, others, reason,
+        LOST, tuple(named), assessed.onset, left.lost, end, (), (), p, others, reason,
         {
-            "cause": judged.cause, "live": True, "worked_until_s": worked, "impact_s": left.ground if fell else None,
-            "evidence": list(judged.evidence), "how": how, **({} if spin is None else _spun(spin)),
+            "cause": assessed.cause, "live": True, "worked_until_s": worked, "impact_s": left.ground if fell else None,
+            "evidence": list(assessed.evidence), "how": how, **({} if spin is None else _spun(spin)),
         },
     )  # fmt: skip
 
@@ -258,21 +258,21 @@ def _spun(spin: FliesOn) -> dict[str, float]:
     return {"spins_from_s": spin.since, "spins_until_s": spin.until, "turns_per_s": round(spin.turns, 2)}
 
 
-def _worked(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
+def _worked(assessed: Assessed, n: int, named, others, decided: float) -> list[float | None]:
     """Time until which each rotor was seen to work [s]; None where unknown."""
-    until, known = _until(judged, n, named, others, decided), judged.commanded or (np.inf,) * n
+    until, known = _until(assessed, n, named, others, decided), assessed.commanded or (np.inf,) * n
     return [None if a is None or b is None else min(a, b) for a, b in zip(until, known)]
 
 
-def _until(judged: Judged, n: int, named, others, decided: float) -> list[float | None]:
+def _until(assessed: Assessed, n: int, named, others, decided: float) -> list[float | None]:
     """The same, of rotors with known commands."""
     suspects = {r for who in others for r in who}
-    if not judged.found:
-        return [None if r in named or r in suspects else judged.onset for r in range(1, n + 1)]
-    if judged.cause == ORDER:
+    if not assessed.found:
+        return [None if r in named or r in suspects else assessed.onset for r in range(1, n + 1)]
+    if assessed.cause == ORDER:
         return [None if r in named else decided for r in range(1, n + 1)]
-    if judged.left.impact is not None and judged.left.impact > judged.onset:
-        decided = min(decided, judged.left.impact)
-    until = decided if judged.cause in ("rotor", "controller", "saturated") else judged.onset
-    start = judged.found[0].onset if judged.found[0].kind == "rotor" else judged.onset
-    return [start if r in named else judged.onset if r in suspects else until for r in range(1, n + 1)]
+    if assessed.left.impact is not None and assessed.left.impact > assessed.onset:
+        decided = min(decided, assessed.left.impact)
+    until = decided if assessed.cause in ("rotor", "controller", "saturated") else assessed.onset
+    start = assessed.found[0].onset if assessed.found[0].kind == "rotor" else assessed.onset
+    return [start if r in named else assessed.onset if r in suspects else until for r in range(1, n + 1)]

@@ -1,4 +1,4 @@
-"""Input to the conclusion: the events of a flight, and how much of it was judged."""
+"""Input to the conclusion: the events of a flight, and how much of it was assessed."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rotorwatch.answer import from_takeoff
-from rotorwatch.answer.unjudged import UNKNOWN, Unjudged
+from rotorwatch.answer.unassessed import UNKNOWN, Unassessed
 from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.engine.motion.air_spans import Gap
 from rotorwatch.flight.diagnosis import Event, Trend
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, FROM_TAKEOFF, LOST, Weight
 
 ALOFT_S = 1.0  # from the begin of the log: a vehicle in the air by then took off before it
-UNJUDGED_SHARE = 0.5  # largest unjudged time beyond the blind time, as a share of the judged time
+UNASSESSED_SHARE = 0.5  # largest unassessed time beyond the blind time, as a share of the assessed time
 
 
 class Evidence(NamedTuple):
     """Input to the conclusion.
 
-    n: rotors; places: `places.names`. hidden (n,): undetected loss of each rotor in flight, None when nothing was judged; hidden_pair: the
-    same of two opposite rotors. judged_s: seconds of flight judged. claims: those that count though they are no events
+    n: rotors; places: `places.names`. hidden (n,): undetected loss of each rotor in flight, None when nothing was assessed; hidden_pair:
+    the same of two opposite rotors. assessed_s: seconds of flight assessed. claims: those that count though they are no events
     (`ledger.open_claims`). hops: ((take-off, landing), ...) s. trends: `health.trends`, of each rotor, shown for rotors without suspicion,
     or empty. comparable: healthy flights of the vehicle would show more. missing: commands that the log lacks up to the end. matters: loss
-    of one rotor that a healthy flight must be able to show. unjudged: why no more could be judged. judged_until: time of the last judged
-    tick [s]; blind_s: time after each take-off in which trim and noise are learned [s]. settings: a sentence on those that log what this
-    log lacks."""
+    of one rotor that a healthy flight must be able to show. unassessed: why no more could be assessed. assessed_until: time of the last
+    assessed tick [s]; blind_s: time after each take-off in which trim and noise are learned [s]. settings: a sentence on those that log
+    what this log lacks."""
 
     events: Sequence[Event]
     n: int
     hidden: np.ndarray | None = None
     hidden_pair: float = 0.0
-    judged_s: float = 0.0
+    assessed_s: float = 0.0
     claims: Sequence[Event] = ()
     places: Sequence[str] = ()
     hops: Sequence[tuple[float, float]] = ()
@@ -41,20 +41,20 @@ class Evidence(NamedTuple):
     comparable: bool = True
     missing: Sequence[Gap] = ()
     matters: float = MATTERS
-    unjudged: Unjudged = UNKNOWN
-    judged_until: float = np.inf
+    unassessed: Unassessed = UNKNOWN
+    assessed_until: float = np.inf
     blind_s: float = 0.0
     settings: str = ""
 
     @property
     def start(self) -> str:
-        """The start of the judged time, in words."""
+        """The start of the assessed time, in words."""
         return "take-off" if not self.hops or self.hops[0][0] > ALOFT_S else "the start of the log"
 
     @property
     def patchy(self) -> bool:
-        """True if too much of the flight, beyond the blind time after each take-off, was not judged to call it healthy."""
-        return self.flown_s - self.blind_s * len(self.hops) - self.judged_s > UNJUDGED_SHARE * self.judged_s
+        """True if too much of the flight, beyond the blind time after each take-off, was not assessed to call it healthy."""
+        return self.flown_s - self.blind_s * len(self.hops) - self.assessed_s > UNASSESSED_SHARE * self.assessed_s
 
     @property
     def unseen(self) -> float:
@@ -84,13 +84,13 @@ class Evidence(NamedTuple):
 
     @property
     def knocked_s(self) -> float | None:
-        """Time of the last knock, where nothing was judged after it [s]."""
+        """Time of the last knock, where nothing was assessed after it [s]."""
         last = max((e.onset_s for e in self.events if e.kind == CONTACT), default=-np.inf)
-        return last if last >= self.judged_until else None
+        return last if last >= self.assessed_until else None
 
     @property
     def missing_s(self) -> float:
-        """Time from which missing commands prevent judging; infinite without such [s]."""
+        """Time from which missing commands prevent assessing; infinite without such [s]."""
         return min((gap.start for gap in self.missing), default=np.inf)
 
     @property

@@ -18,7 +18,7 @@ UNNAMED = None, "", "unknown", "rotor"  # causes of events that are known by the
 DO_NOT, LOOK, CANNOT, FLY = "do not fly", "look first", "cannot say", "fly"
 
 
-def judge(verdict: str, events: Sequence[Event], states: Sequence[RotorState], advice: Advice) -> Fitness:
+def assess(verdict: str, events: Sequence[Event], states: Sequence[RotorState], advice: Advice) -> Fitness:
     """The word for an answer. A flight with anything that someone should look at - a blow, a notice, a suspicion, a loss that grows - is
     never fit to fly, whatever its verdict."""
     grave = verdict in ("fault", "crashed") or any(_grounds(e) for e in events)

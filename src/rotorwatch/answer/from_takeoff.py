@@ -23,7 +23,7 @@ VEHICLES = Source("healthy vehicles", 14, _certain_or_compared)  # of any build
 
 
 def claims(found: Mapping[str, Any] | None, source: Source, air: Spans) -> tuple[Event, ...]:
-    """The result (`WholeFlight.to_dict`, `population.judge`) as a claim, with all of it in `extra`; none where nothing could be compared.
+    """The result (`WholeFlight.to_dict`, `population.assess`) as a claim, with all of it in `extra`; none where nothing could be compared.
     air: the flights."""
     if found is None or found["verdict"] == "inconclusive":
         return ()

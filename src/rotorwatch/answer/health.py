@@ -13,7 +13,7 @@ rotor is "unclear". Intervals are for all rotors at once (Scheffe): with d withi
 
 Source of the aim: Zhang, Zhang, Li, Qin and Xu, ATSUKF-based actuator health assessment method for quad-copter unmanned aerial vehicles,
 Drones 7 (2023) 12, section 2.2: a loss of 0 is healthy, of 1 failed, anything between partly degraded; it prints no scale between them.
-Intervals: H. Scheffe, A method for judging all contrasts in the analysis of variance, Biometrika 40 (1953) 87-104.
+Intervals: H. Scheffe, A method for assessing all contrasts in the analysis of variance, Biometrika 40 (1953) 87-104.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from rotorwatch.answer import trend as line
 from rotorwatch.answer.wording import SCALE
 from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.intake.ticks import CARRIES
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight.diagnosis import Event, Trend
 
-UNGRADED = "not judged"
+UNGRADED = "not assessed"
 LEAST_S = 30.0  # of flight, below which no trend is estimated
 BLOCKS = 40  # at most
 LEAST_THRUST = 0.05  # hover thrusts: a rotor commanded less shows nothing
@@ -38,7 +38,7 @@ CHI2_3, CHI2_2 = 7.815, 5.991  # 95 % of chi-squared with 3 and 2 degrees of fre
 
 
 def grade(low: float, high: float, trend: Trend | None = None) -> str:
-    """'worn' of a loss between low and high; 'healthy to worn' where it may be either, 'not judged' where it may be more. trend: adds the
+    """'worn' of a loss between low and high; 'healthy to worn' where it may be either, 'not assessed' where it may be more. trend: adds the
     growth that no loss includes yet."""
     beyond = trend.beyond if trend else (0.0, 0.0)
     ends = (min(max(bound + extra, 0.0), 1.0) for bound, extra in zip((low, high), beyond))
@@ -52,7 +52,7 @@ def trends(out, table: Ticks, B: np.ndarray, found: Sequence[Event]) -> tuple[Tr
 
     out: the estimator's stacked outputs (theta (T, n), biases (T, 4)); B (4, n): effectiveness; found: events of the flight."""
     nothing = (None,) * B.shape[1]
-    use = (table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & ~table.upset
+    use = (table.mode == ASSESS) & table.valid[:, :3].all(axis=1) & ~table.upset
     use &= (table.time >= _steady_from(table, found)) & (table.thrust.mean(axis=1) > CARRIES)
     rows = np.flatnonzero(use)
     if rows.size < line.LEAST or table.time[rows[-1]] - table.time[rows[0]] < LEAST_S:
@@ -109,11 +109,11 @@ def _trend(row, minutes: float, span, weak: bool, known: float, scatter: float) 
 def _steady_from(table: Ticks, found: Sequence[Event]) -> float:
     """Start of the data without any step, landing or knock [s]."""
     marks = [t for e in found for t in (e.detected_s, e.end_s) if t is not None]
-    judged = np.flatnonzero(table.mode == JUDGE)
-    for k in np.flatnonzero((table.mode[1:] == JUDGE) & (table.mode[:-1] != JUDGE)) + 1:
+    assessed = np.flatnonzero(table.mode == ASSESS)
+    for k in np.flatnonzero((table.mode[1:] == ASSESS) & (table.mode[:-1] != ASSESS)) + 1:
         marks.append(float(table.time[k]))
-    marks.append(float(table.time[judged[0]]) if judged.size else 0.0)
-    last = float(table.time[judged[-1]]) if judged.size else 0.0
+    marks.append(float(table.time[assessed[0]]) if assessed.size else 0.0)
+    last = float(table.time[assessed[-1]]) if assessed.size else 0.0
     return max(t for t in marks if t <= last or t == marks[-1]) + USUAL_S
 
 

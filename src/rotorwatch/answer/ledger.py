@@ -46,7 +46,7 @@ from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, ORDER, OVERRIDE, TURNED, Weight
 
 if TYPE_CHECKING:
-    from rotorwatch.witnesses.upset.find import Judged
+    from rotorwatch.witnesses.upset.find import Assessed
 
 
 class Merged(NamedTuple):
@@ -56,7 +56,7 @@ class Merged(NamedTuple):
     shared: tuple[Event, ...] = ()
 
 
-def merge(claims: Sequence[Event], report: Report, upsets: Sequence[Judged], n: int, grown: Growth | None = None) -> Merged:
+def merge(claims: Sequence[Event], report: Report, upsets: Sequence[Assessed], n: int, grown: Growth | None = None) -> Merged:
     """The events of a flight of n rotors, in order of detection. claims: of any kind; report: its falls and contacts; upsets: its losses of
     control; grown: the growth by the trim of the whole flight."""
     losses = [c for c in claims if c.means.weakens and not explained(c, claims)]

@@ -10,7 +10,7 @@ from rotorwatch.answer.wording import rotors
 from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.bindings.hypothesis_list import Hypotheses
 from rotorwatch.engine.events.losses import WITHIN_95
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN, Ticks
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.diagnosis import Trace
 
@@ -23,11 +23,11 @@ KINDS = ("mode", "armed", "landed", "error", "event", "text", "dropout")
 def compose(
     flight: Flight, out, table: Ticks, hyp: Hypotheses, B, air, ready_s: float, limit: float, found=(), spells=(), states=()
 ) -> Trace:  # fmt: skip
-    """The Trace of a judged flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
+    """The Trace of an assessed flight. out: the estimator's stacked outputs; limit: its threshold in nats; B (4, n):
     effectiveness; found: events; spells: of evidence that no event explains (`unexplained_evidence`); states: of the rotors at the end."""
-    judging = table.mode == JUDGE
+    assessing = table.mode == ASSESS
     sd = event_rows.sd_of(out.theta, out.theta_sd, B)
-    spread = np.where(out.theta > 0, WITHIN_95 * sd, WITHIN_95 * np.where(judging[:, None], out.detectable, 0.0))
+    spread = np.where(out.theta > 0, WITHIN_95 * sd, WITHIN_95 * np.where(assessing[:, None], out.detectable, 0.0))
     odds = {name: out.log_odds[:, i] for i, name in enumerate(hyp.names) if hyp.kinds[i] in ("single", "disturbance")}
     odds["best pair"] = out.log_odds.max(axis=1, where=np.array(hyp.kinds) == "pair", initial=-np.inf)
     blind = [(a, min(a + ready_s, b), "learning after take-off") for a, b in air]
@@ -42,7 +42,7 @@ def compose(
     _open(lower, upper, table.time, found, spells)
     for k, state in enumerate(states):  # the undetected loss, as in the rotor table
         if state.since_takeoff is not None and not (out.theta[:, k] > 0.0).any():
-            upper[judging, k] = np.maximum(upper[judging, k], state.since_takeoff[1])
+            upper[assessing, k] = np.maximum(upper[assessing, k], state.since_takeoff[1])
     time, seen = table.time, np.ones(table.time.size, bool) if table.seen is None else table.seen
     measured = np.any(table.valid, axis=1, keepdims=True)
     actual, wanted = (angles(flight, name, time) for name in ("attitude", "attitude_wanted"))

@@ -8,7 +8,7 @@ deficit. A loss L of rotor i is a step of
 b: biases [hover thrusts of one rotor]; T: thrusts commanded; dividing by the mean removes a sagging battery. For every onset between two
 blocks of time L is weighted least squares on the difference of the means of z after and before it; the variance of z is enlarged by (1 + r)
 / (1 - r) for errors of an autoregression with correlation r from block to block. The bound is the largest upper end of the 95 % intervals
-over all onsets from 10 s after judging began to 10 s before its end (6 s in short flights). Turning wind, or a shifting load, is such a
+over all onsets from 10 s after assessing began to 10 s before its end (6 s in short flights). Turning wind, or a shifting load, is such a
 step as well: the bound then states that a loss could look like it. Thrust itself, which battery and air change for all rotors alike, is
 left out for a single rotor.
 
@@ -40,7 +40,7 @@ from rotorwatch.engine.events.decisions import CERTAIN_NATS
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.intake.craft import YAW
 from rotorwatch.engine.intake.ticks import CARRIES
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOST
 from rotorwatch.stats.tails import student_quantile
@@ -72,7 +72,7 @@ def bounds(out, table: Ticks, B: np.ndarray) -> Unseen:
 
 def usable(table: Ticks) -> np.ndarray:
     """(T,) bool: the ticks whose biases count. Rotors that do not carry the vehicle show no deficit; those of a tricopter make no yaw."""
-    return (table.mode == JUDGE) & table.valid[:, :YAW].all(axis=1) & ~table.upset & (table.thrust.mean(axis=1) > CARRIES)
+    return (table.mode == ASSESS) & table.valid[:, :YAW].all(axis=1) & ~table.upset & (table.thrust.mean(axis=1) > CARRIES)
 
 
 class Rows(NamedTuple):
@@ -192,7 +192,7 @@ class Unseen:
 
     def doubted(self, found: Sequence[Event]) -> tuple[Event, ...]:
         """The events, with alternatives added to a loss of control without a rotor at fault: rotors against which evidence was certain
-        shortly before, and exceeded that of any disturbance. Their deficit by then is part of the trim that the rotors are judged by."""
+        shortly before, and exceeded that of any disturbance. Their deficit by then is part of the trim that the rotors are assessed by."""
         return tuple(self._doubted(e, found) if e.kind == LOST else e for e in found)
 
     def _doubted(self, lost: Event, found: Sequence[Event]) -> Event:
@@ -216,11 +216,11 @@ class Unseen:
         )  # fmt: skip
 
     def losses(self) -> np.ndarray:
-        """Upper bound (n,) of the loss of each rotor since judging began that was not announced; 1 where too little was judged."""
+        """Upper bound (n,) of the loss of each rotor since assessing began that was not announced; 1 where too little was assessed."""
         return self._of(np.eye(self.B.shape[1]), 3).upper(self.B)
 
     def step(self) -> Step | None:
-        """The step of one rotor with the largest evidence, or None where too little was judged."""
+        """The step of one rotor with the largest evidence, or None where too little was assessed."""
         steps = self._of(np.eye(self.B.shape[1]), 3)
         return steps.largest() if len(steps.before) else None
 
@@ -246,7 +246,7 @@ class Unseen:
 
 
 class Step(NamedTuple):
-    """A step of the biases as a loss of one rotor. before: share of the judged ticks before it; block: share of one block; loss (n,) of
+    """A step of the biases as a loss of one rotor. before: share of the assessed ticks before it; block: share of one block; loss (n,) of
     each rotor; half (n,): half its 95 % interval; nats (n,): evidence of each against no step."""
 
     before: float

@@ -60,7 +60,7 @@ def _line(number: int, event: Mapping) -> dict[str, Any]:
 
 def _rotor(r: Mapping) -> dict[str, Any]:
     row = {name: r[name] for name in ("rotor", "place", "status", "loss", "interval")}
-    optional = {"since_takeoff": r["since_takeoff"], "grade": None if r["grade"] == "not judged" else r["grade"]}
+    optional = {"since_takeoff": r["since_takeoff"], "grade": None if r["grade"] == "not assessed" else r["grade"]}
     return row | {name: value for name, value in (optional | {"note": cut(r["note"], 120)}).items() if value}
 
 

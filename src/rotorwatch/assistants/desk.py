@@ -22,18 +22,18 @@ MOST_HEALTHY, MOST_LISTED = 20, 50
 
 
 class Desk:
-    """Answers as plain data. folders: readable ones; store: address of the fleet's store or ""; judge_s [s], memory_mb [MB], most [bytes of
-    a log]: limits of one question; jobs: questions at once."""
+    """Answers as plain data. folders: readable ones; store: address of the fleet's store or ""; assess_s [s], memory_mb [MB], most [bytes
+    of a log]: limits of one question; jobs: questions at once."""
 
-    def __init__(self, folders: Sequence[Any], store: str, most: int, judge_s: float, memory_mb: int, jobs: int = 1):
+    def __init__(self, folders: Sequence[Any], store: str, most: int, assess_s: float, memory_mb: int, jobs: int = 1):
         self.folders, self.fleet = Folders(folders, most), Fleet(store)
-        self._judging = Workers(work.answer, judge_s, memory_mb, work.LOADS, work.away)
-        self._planning = Workers(work.answer, judge_s, memory_mb, work.planning_loads(), work.away)
+        self._assessing = Workers(work.answer, assess_s, memory_mb, work.LOADS, work.away)
+        self._planning = Workers(work.answer, assess_s, memory_mb, work.planning_loads(), work.away)
         self._turn, self._places = threading.Semaphore(jobs), threading.Semaphore(jobs + WAITING)
 
     def stop(self) -> None:
         """End all processes."""
-        self._judging.stop()
+        self._assessing.stop()
         self._planning.stop()
 
     def ask(self, verb: str, log: str | None = None, baseline: Sequence[str] = (), vehicle: str | None = None, **more: Any) -> Any:
@@ -46,7 +46,7 @@ class Desk:
             craft = self._airframe(vehicle) if verb == "survive" else self.folders.vehicle(vehicle)
         others = tuple(self.folders.log(one) for one in baseline)
         question = Question(verb, named, others, craft, tuple(sorted(more.items())))
-        return self._answered(self._planning if verb == "survive" else self._judging, question)
+        return self._answered(self._planning if verb == "survive" else self._assessing, question)
 
     def _airframe(self, given: str) -> Any:
         """The name of an airframe, or a vehicle file. Raises ConfigError."""

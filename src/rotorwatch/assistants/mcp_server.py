@@ -51,16 +51,16 @@ def mcp(
     from rotorwatch.assistants.desk import Desk
 
     most = checks.positive("max_size", max_size)
-    judge_s, memory_mb = checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory)
+    assess_s, memory_mb = checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory)
     url = os.environ.get("ROTORWATCH_STORE", "") if store is None else os.fspath(store)
     if not folders and not url:
         raise ConfigError("Name the folders whose logs may be read, or the fleet's store with --store.")
-    desk = Desk(folders, url, int(most * 2**20), judge_s, memory_mb, max(int(jobs), 1))
+    desk = Desk(folders, url, int(most * 2**20), assess_s, memory_mb, max(int(jobs), 1))
     server = mcp_tools.Server(
         "rotorwatch",
         title="rotorwatch",
         version=__version__,
-        instructions=INSTRUCTIONS.format(most=most, seconds=judge_s),
+        instructions=INSTRUCTIONS.format(most=most, seconds=assess_s),
         log_level="CRITICAL",
         subscriptions=False,
     )

@@ -130,7 +130,7 @@ def register(server: MCPServer, desk: Desk) -> None:
 
     @tool("Which rotor lost thrust, and why did it fall?")
     def diagnose(log: Log, vehicle: Vehicle = None) -> Annotated[CallToolResult, models.Diagnosis]:
-        """Judge a flight: verdict, which rotor lost effectiveness, how much, since when, how sure; why control was lost; what to do next.
+        """Assess a flight: verdict, which rotor lost effectiveness, how much, since when, how sure; why control was lost; what to do next.
         Its sentences can be passed on as they are."""
         return answered(models.Diagnosis, lambda: desk.ask("diagnose", log, vehicle=vehicle))
 
@@ -140,7 +140,7 @@ def register(server: MCPServer, desk: Desk) -> None:
         baseline: Annotated[list[Path], Field(min_length=1, max_length=MOST_HEALTHY, description="healthy flights of the same build")],
         vehicle: Vehicle = None,
     ) -> Annotated[CallToolResult, models.Compared]:
-        """Judge a flight against healthy flights of the same build: finds damage that was there from take-off. In sentences healthy-1 is
+        """Assess a flight against healthy flights of the same build: finds damage that was there from take-off. In sentences healthy-1 is
         the first of `baseline`."""
         return answered(models.Compared, lambda: desk.ask("compare", log, baseline, vehicle))
 
@@ -182,7 +182,7 @@ def register(server: MCPServer, desk: Desk) -> None:
 
     @tool("What does a log hold?")
     def info(log: Log) -> Annotated[CallToolResult, models.Log]:
-        """Say what a log holds: autopilot, airframe, signals and their rates, messages of the autopilot, and whether it can be judged."""
+        """Say what a log holds: autopilot, airframe, signals and their rates, messages of the autopilot, and whether it can be assessed."""
         return answered(models.Log, lambda: desk.ask("info", log))
 
     @tool("What should be logged next time?")

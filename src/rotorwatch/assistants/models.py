@@ -31,7 +31,7 @@ class AnyAnswer(BaseModel):
 
 
 class Rotor(BaseModel):
-    """The state of a rotor at the end of the judged flight."""
+    """The state of a rotor at the end of the assessed flight."""
 
     rotor: int
     place: str = ""
@@ -61,7 +61,7 @@ class EventLine(BaseModel):
 
 
 class Flight(BaseModel):
-    """The judged flight. frame: one of rotorwatch's airframes; empty for a vehicle file's."""
+    """The assessed flight. frame: one of rotorwatch's airframes; empty for a vehicle file's."""
 
     format: str
     frame: str
@@ -256,7 +256,7 @@ class Aircraft(BaseModel):
     flights: int
     airborne_h: float
     last_utc: str | None
-    state: str = Field(description="fault, suspect, not judged or healthy: by its rotors over all flights, and by its last flights")
+    state: str = Field(description="fault, suspect, not assessed or healthy: by its rotors over all flights, and by its last flights")
     last_verdict: str | None = Field(description="of the last flight")
     verdicts: dict[str, int] = Field(description="number of flights by verdict")
     new: dict[str, int] = Field({}, description="the same for flights added since the last `rotorwatch fleet list`")

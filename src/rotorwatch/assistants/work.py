@@ -136,7 +136,7 @@ def _vehicle(file: Allowed | str | None) -> Vehicle | None:
         return replace(vehicle_file.read(path), name="vehicle-file", assumptions=(), source="vehicle file")
 
 
-def _judged(question: Question) -> Diagnosis:
+def _assessed(question: Question) -> Diagnosis:
     """The diagnosis, by `rotorwatch diagnose`."""
     key = question.log, question.healthy, question.vehicle
     if key in _kept:
@@ -144,7 +144,7 @@ def _judged(question: Question) -> Diagnosis:
         return _kept[key]
     from rotorwatch.diagnose import diagnose
 
-    def judge() -> Diagnosis:
+    def assess() -> Diagnosis:
         healthy = []
         for k, file in enumerate(question.healthy, 1):
             with _blaming(f"Healthy flight {k} (of `baseline`)"):
@@ -158,12 +158,12 @@ def _judged(question: Question) -> Diagnosis:
             return diagnose(flight, vehicle=vehicle, baseline=healthy)
 
     try:
-        diagnosis = judge()
+        diagnosis = assess()
     except MemoryError:  # kept diagnoses use memory, too
         if not _kept:
             raise
         _kept.clear()
-        diagnosis = judge()
+        diagnosis = assess()
     _kept[key] = diagnosis
     while len(_kept) > KEPT:
         _kept.popitem(last=False)
@@ -171,22 +171,22 @@ def _judged(question: Question) -> Diagnosis:
 
 
 def _diagnose(question: Question, more: dict) -> dict[str, Any]:
-    return answers.diagnosis(_judged(question), _name(question))
+    return answers.diagnosis(_assessed(question), _name(question))
 
 
 def _compare(question: Question, more: dict) -> dict[str, Any]:
-    return answers.compared(_judged(question), _name(question), [file.name for file in question.healthy])
+    return answers.compared(_assessed(question), _name(question), [file.name for file in question.healthy])
 
 
 def _event(question: Question, more: dict) -> dict[str, Any]:
-    event = answers.event(_judged(question), _name(question), more["number"])
+    event = answers.event(_assessed(question), _name(question), more["number"])
     if isinstance(event, str):
         raise _Ours(event)
     return event
 
 
 def _series(question: Question, more: dict) -> dict[str, Any]:
-    diagnosis = _judged(question)
+    diagnosis = _assessed(question)
     wanted = [more[name] for name in ("what", "rotor", "start_s", "end_s", "most")]
     return {"log": quoted.quoted(_name(question))} | _ours(signal_rows.sampled, diagnosis, *wanted)
 
@@ -194,7 +194,7 @@ def _series(question: Question, more: dict) -> dict[str, Any]:
 def _picture(question: Question, more: dict) -> tuple[dict[str, Any], bytes]:
     from rotorwatch.report import still
 
-    diagnosis = _judged(question)
+    diagnosis = _assessed(question)
     kind = _ours(still.shows, diagnosis, more["what"])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"

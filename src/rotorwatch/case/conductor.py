@@ -24,20 +24,20 @@ from rotorwatch.case.in_flight import InFlight
 from rotorwatch.case.link_consistency import MEMORY_S, Consistency
 from rotorwatch.case.verdict import Answer, Bounds, Claims
 from rotorwatch.engine.bindings import event_rows
-from rotorwatch.engine.diagnoser import Diagnoser, Judged, Written
+from rotorwatch.engine.diagnoser import Assessed, Diagnoser, Written
 from rotorwatch.engine.driver import Driver, Piece
 from rotorwatch.engine.events.decisions import MATTERS
 from rotorwatch.engine.motion import trust
 from rotorwatch.engine.motion.air_spans import Gap, gaps
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.overrides import in_flight
-from rotorwatch.engine.motion.tick_table import JUDGE, Plan, Ticks, grounded, joined
+from rotorwatch.engine.motion.tick_table import ASSESS, Plan, Ticks, grounded, joined
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.witnesses import witness
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 from rotorwatch.witnesses.leaning import LEANS_S
 from rotorwatch.witnesses.upset import find as upset
 from rotorwatch.witnesses.witness import Events, Stage, View
@@ -52,7 +52,7 @@ class Case:
     vehicle: with data from healthy flights, of `source`, if `known`; B (4, n): its effectiveness; dynamics: their gains and noise, None
     where they do not fit. air: ((start, end), ...) s of each flight, cut at impacts, end infinite while airborne. over: no samples will
     follow. hovers: False where only angular motion is evaluated (witnesses/aerobatic). ticks: number of evaluated ticks; last: the newest
-    ones. unseen, grown: what the trim shows so far. written, estimated: of a log, the engine's records, and the outputs that judge it;
+    ones. unseen, grown: what the trim shows so far. written, estimated: of a log, the engine's records, and the outputs that assess it;
     None without a flight. ready_s: of a log, time after take-off in which trim and noise are learned. assumptions, warnings: sentences.
     matters: loss of one rotor that a healthy flight must have excluded."""
 
@@ -74,7 +74,7 @@ class Case:
         self.written: Written | None = None
         self.estimated: Estimated | None = None
         self.ticks = 0
-        self.last: Judged | None = None
+        self.last: Assessed | None = None
         self.unseen: unseen.Unseen | None = None
         self.grown: drift.Growth | None = None
         self._whole = False  # it is a log
@@ -100,26 +100,26 @@ class Case:
         share, 0..1."""
         self._whole = self.over = True
         self.air = air
-        told = whole_log.flown(self.about, self.vehicle, air, progress)
-        self.written, self.dynamics, self.ready_s, self.hovers = told.written, told.dynamics, told.ready_s, told.hovers
+        reported = whole_log.flown(self.about, self.vehicle, air, progress)
+        self.written, self.dynamics, self.ready_s, self.hovers = reported.written, reported.dynamics, reported.ready_s, reported.hovers
         self._gaps = gaps(self.about, air) if air else ()
-        self.assumptions += told.assumptions
+        self.assumptions += reported.assumptions
         self.warnings += tuple(wording.not_commanded(self._gaps, len(self.vehicle.rotors)))
-        if told.estimated is not None:
-            self._judge_by(told.estimated)
+        if reported.estimated is not None:
+            self._assess_by(reported.estimated)
             if not self.hovers:  # contacts of a vehicle that does not hover are its manoeuvres
-                self._report.add(told.estimated.table, air).finish(air)
+                self._report.add(reported.estimated.table, air).finish(air)
 
     def by(self, done: Estimated) -> Case:
-        """The same log, judged by other outputs."""
+        """The same log, assessed by other outputs."""
         other = copy.copy(self)
-        other._judge_by(done)
+        other._assess_by(done)
         other.assumptions += done.assumptions
         return other
 
-    def _judge_by(self, done: Estimated) -> None:
+    def _assess_by(self, done: Estimated) -> None:
         table, out = done.table, done.out
-        self.estimated, self.last = done, Judged(table, out)
+        self.estimated, self.last = done, Assessed(table, out)
         self.unseen, self.grown, self._turned = unseen.bounds(out, table, self.B), None, ()
         if self._by_hover:
             slow_changes = done.written.trim if done.written is not None else drift.look(out, table, self.B)
@@ -173,9 +173,9 @@ class Case:
         diagnoser = self.driver.diagnoser
         if diagnoser is None:
             return self.departures.revision
-        told = diagnoser.losses.announcements + len(diagnoser.overrides) + len(diagnoser.contacts)
+        reported = diagnoser.losses.announcements + len(diagnoser.overrides) + len(diagnoser.contacts)
         heard = sum(len(claims) for _, claims in self._heard.values())
-        return told + heard + len(self._turned) + self._growths + self.departures.revision
+        return reported + heard + len(self._turned) + self._growths + self.departures.revision
 
     def _take(self, piece: Piece) -> bool:
         """Take over new ticks, the engine rolled back where its flight ended earlier."""
@@ -193,28 +193,28 @@ class Case:
             since = self.now - MEMORY_S
             flight = self.driver.window.flight(since)
             self.consistency.examine(flight, [*self._tables, *self._recent], self.air, self.now, self.revision)
-        return piece.judged is not None
+        return piece.assessed is not None
 
     def _add(self, piece: Piece) -> None:
-        judged = piece.judged
+        assessed = piece.assessed
         if piece.rolled_back:
             self.unseen, self.ticks = piece.extra
-            first = np.inf if judged is None else judged.table.time[0]
+            first = np.inf if assessed is None else assessed.table.time[0]
             self._tables = [t.part(t.time < first) for t in (*self._tables, *self._recent) if t.time[0] < first]
             self._recent.clear()
-        if judged is None:
+        if assessed is None:
             return
         assert self.driver.plan is not None
-        self.last = judged = judged._replace(table=grounded(judged.table, self.air or piece.spans))
+        self.last = assessed = assessed._replace(table=grounded(assessed.table, self.air or piece.spans))
         if self.unseen is None:
-            self.unseen = unseen.Unseen(self.B, judged.table.dt)
-        self.unseen.add(judged.out, judged.table)
-        self.ticks += int(np.count_nonzero(judged.table.mode == JUDGE))
-        self._recent.append(judged.table)
+            self.unseen = unseen.Unseen(self.B, assessed.table.dt)
+        self.unseen.add(assessed.out, assessed.table)
+        self.ticks += int(np.count_nonzero(assessed.table.mode == ASSESS))
+        self._recent.append(assessed.table)
         if len(self._recent) >= CHUNK:
             self._tables.append(joined(self._recent))
             self._recent.clear()
-            while self._tables[0].time[-1] < judged.table.time[-1] - WINDOW_S:
+            while self._tables[0].time[-1] < assessed.table.time[-1] - WINDOW_S:
                 del self._tables[0]
 
     def _look_at_trim(self, diagnoser: Diagnoser) -> None:
@@ -252,7 +252,7 @@ class Case:
         return (*self._tables, *self._recent) if self.table is None else (self.table,)
 
     @property
-    def upsets(self) -> tuple[upset.Judged, ...]:
+    def upsets(self) -> tuple[upset.Assessed, ...]:
         """Losses of control."""
         return self.departures.found
 
@@ -273,12 +273,12 @@ class Case:
 
     @property
     def _records(self) -> Diagnoser | Written | None:
-        """The same, where the estimator that judges is the engine's."""
+        """The same, where the estimator that assesses is the engine's."""
         return self.engine if self.estimated is None else self.estimated.written
 
     @property
     def _by_hover(self) -> bool:
-        """True if the default estimator's model of hover judges."""
+        """True if the default estimator's model of hover assesses."""
         return self.hovers and (self.estimated is None or self.estimated.default)
 
     def claims(self, hop: tuple[float, float] | None = None, progress: Callable[[float], object] | None = None) -> Claims:
@@ -314,7 +314,7 @@ class Case:
     def answer(
         self, hop: tuple[float, float] | None = None, bounds: Bounds | None = None, progress: Callable[[float], object] | None = None
     ) -> Answer:
-        """The verdict. hop, progress: as of `claims`. bounds: on a link, how much was judged, and how well; of a log, its outputs show
+        """The verdict. hop, progress: as of `claims`. bounds: on a link, how much was assessed, and how well; of a log, its outputs show
         that."""
         claims = self.claims(hop, progress)
         if self._whole and self.estimated is None:
@@ -371,14 +371,14 @@ class Case:
         view = View(
             self.flight, self.vehicle, self.air or ((0.0, self.flight.duration),), (), self.B, hovers=self.hovers, lost=self._lost
         )  # fmt: skip
-        told = witness.ask(Stage.CLAIMS, view)
+        reported = witness.ask(Stage.CLAIMS, view)
         if not self.air:
-            told = tuple(e for e in told if e.extra.get("trouble") in conclusion.GRAVE)
-        return Claims(self._merged(told).events)
+            reported = tuple(e for e in reported if e.extra.get("trouble") in conclusion.GRAVE)
+        return Claims(self._merged(reported).events)
 
     @property
     def _lost(self) -> tuple[float, ...]:
-        return tuple(judged.onset for judged in self.upsets)
+        return tuple(assessed.onset for assessed in self.upsets)
 
     def _view(self) -> View:
         done, records = self.estimated, self._records

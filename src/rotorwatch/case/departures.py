@@ -30,7 +30,7 @@ class Departures:
 
     def __init__(self, vehicle: Vehicle):
         self._vehicle = vehicle
-        self.found: tuple[upset.Judged, ...] = ()
+        self.found: tuple[upset.Assessed, ...] = ()
         self.revision = 0
         self._landings = 0
         self._impacts: dict[float, float] = {}  # start of a flight -> its impact [s]
@@ -44,7 +44,7 @@ class Departures:
 
     def of_log(self, flight: Flight, air: Spans, progress: Callable[[float], object] | None = None) -> Spans:
         """Find them in a whole log; its flights `air` ((start, end), ...) s, cut at impacts."""
-        self.found = upset.judged(flight, self._vehicle, air, progress)
+        self.found = upset.assessed(flight, self._vehicle, air, progress)
         return upset.until_impact(flight, air, self.found)
 
     def follow(self, window: Window, spans: Spans, over: bool = False) -> Spans:
@@ -58,7 +58,7 @@ class Departures:
             self._looked, self._landings = now, landings
             if ended or np.isfinite(self._suspected) or self._departs(window, spans):
                 self._suspected = min(self._suspected, now)
-                self._judge(window, spans, over)
+                self._assess(window, spans, over)
         return tuple((start, min(end, self._impacts.get(start, np.inf))) for start, end in spans)
 
     def _turns(self, window: Window) -> bool:
@@ -73,7 +73,7 @@ class Departures:
         flight = window.flight(since - 1.0, NAMES)
         return bool(loss_of_control.find(flight, air)) or any(loss_of_control.hit(flight, *hop) is not None for hop in air)
 
-    def _judge(self, window: Window, spans: Spans, final: bool) -> None:
+    def _assess(self, window: Window, spans: Spans, final: bool) -> None:
         """Evaluate the window again; losses of control whose samples have been removed stay."""
         now = window.now
         flight = window.flight(now - WINDOW_S, NAMES)
@@ -83,10 +83,10 @@ class Departures:
         recent = tuple(span for span in air if span[1] > since)
         settled = [j for j in self.found if not final and now > j.left.lost + FINAL_S]
 
-        def looks_now(left: LossOfControl) -> upset.Judged:
+        def looks_now(left: LossOfControl) -> upset.Assessed:
             known = next((j for j in settled if j.left == left or (j.spin is not None and j.left.onset == left.onset)), None)
             if known is None:
-                return upset.judge(flight, self._vehicle, recent, left)
+                return upset.assess(flight, self._vehicle, recent, left)
             return upset.follow(flight, self._vehicle, recent, known._replace(left=left))
 
         lost = loss_of_control.find(flight, recent) if recent or not air else ()

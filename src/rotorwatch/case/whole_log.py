@@ -13,7 +13,7 @@ from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.tick_table import READY_KNOWN_S, READY_S
 from rotorwatch.flight import Flight
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 
 AEROBATIC = (
     "the vehicle does not hover in this flight: it is assessed by its angular motion over seconds, so a loss is detected later than in "
@@ -26,8 +26,8 @@ NOT_COMPARED = (
 
 
 class Flown(NamedTuple):
-    """written: the engine's records; estimated: the outputs of the method that judges by default; both None where no commands are known in
-    the air. dynamics: gains and noise that healthy flights have shown, None where they do not fit this log. ready_s: after take-off, in
+    """written: the engine's records; estimated: the outputs of the method that assesses by default; both None where no commands are known
+    in the air. dynamics: gains and noise that healthy flights have shown, None where they do not fit this log. ready_s: after take-off, in
     which trim and noise are learned. hovers: False where only angular motion is evaluated. assumptions: sentences."""
 
     written: Written | None
@@ -52,8 +52,8 @@ def flown(flight: Flight, vehicle: Vehicle, air: Spans, progress: Callable[[floa
     turns, moves = flight.has("gyro"), flight.angular_rate() is not None
     ready_s = READY_KNOWN_S if dynamics and turns else READY_S
     ready_s = tick_table.ready_of(ready_s, air) if turns else ready_s
-    told = fly(flight, vehicle, air, ready_s, dynamics, progress) if moves else None
-    written, done = (None, None) if told is None else (told[0], Estimated(told[1].table, told[1].out, written=told[0]))
+    reported = fly(flight, vehicle, air, ready_s, dynamics, progress) if moves else None
+    written, done = (None, None) if reported is None else (reported[0], Estimated(reported[1].table, reported[1].out, written=reported[0]))
     hovers = not aerobatic.applies(flight, None if done is None else done.table)
     ready_s = tick_table.ready_after(ready_s, 0.0 if done is None else done.table.dt)
     if done is not None and not hovers:

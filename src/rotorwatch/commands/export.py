@@ -16,7 +16,7 @@ from rotorwatch.errors import ConfigError
 @option("--allocator", "Export the control allocation: estimate, bounds, posterior or pseudo-inverse.", metavar="WAY")
 @flag("--diagnoser", "Export the whole default diagnosis: samples in, events out.")
 @flag("--log-reader", "Export the diagnosis with readers of ULog and DataFlash: a log in, JSON out.")
-@flag("--page", "Log reader: compile it to WebAssembly as well, with a page that judges logs in a browser.")
+@flag("--page", "Log reader: compile it to WebAssembly as well, with a page that assesses logs in a browser.")
 @option("--vehicle", "Vehicle file (TOML) or an airframe's name; default: the method's paper's.", metavar="FILE|NAME")
 @option("-o --out", "Folder to write into.", required=True, type=OUT, metavar="DIR")
 @option("--dt", "Length of a step.", type=click.FloatRange(0, min_open=True), metavar="S")

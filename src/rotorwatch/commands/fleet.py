@@ -119,19 +119,19 @@ def add(store, logs, aircraft, vehicle, follow, mqtt, webhook, jobs, scheduler, 
 
             outlet = Webhook(webhook, say)
         try:
-            run.follow(store, folders, aircraft, known, tell, say, assessed=assessed, alert=lambda told: _alert(told, outlet))
+            run.follow(store, folders, aircraft, known, tell, say, assessed=assessed, alert=lambda reported: _alert(reported, outlet))
         finally:
             if outlet:
                 outlet.leave()
     click.get_current_context().exit(FAILED if count["failed"] else ADDED)
 
 
-def _alert(told: Mapping, outlet) -> None:
+def _alert(reported: Mapping, outlet) -> None:
     """Print and post an alert of `fleet.add.follow`."""
-    if told["type"] == "aircraft":
-        say(f"{told['aircraft']} is {told['state']} now, it was {told['was']}: {told['headline']}")
+    if reported["type"] == "aircraft":
+        say(f"{reported['aircraft']} is {reported['state']} now, it was {reported['was']}: {reported['headline']}")
     if outlet:
-        outlet.take(dict(told))
+        outlet.take(dict(reported))
         outlet.step()
 
 
@@ -295,7 +295,7 @@ def assess(store, quiet) -> None:
 @STORE
 @JSON
 @common
-def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
+def reassess(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
     """Diagnose the store's flights again from their logs, where these still exist, and show what changed."""
     from dataclasses import asdict
 
@@ -303,10 +303,10 @@ def rejudge(store, every, aircraft, jobs, scheduler, as_json, quiet) -> None:
     from rotorwatch.fleet import assess
 
     with progress(quiet) as report:
-        count, changes = run.rejudge(store, every, aircraft, report, jobs, scheduler)
+        count, changes = run.reassess(store, every, aircraft, report, jobs, scheduler)
         assess.refresh(store, report)
     if as_json:
-        print_json({"judged": count, "changes": [asdict(c) for c in changes]})
+        print_json({"assessed": count, "changes": [asdict(c) for c in changes]})
         return
     for c in changes:
         text = f"kept as it was: {c.lost}" if c.lost else f"{c.before[0]} -> {c.after[0]}: {c.after[1]}"

@@ -31,7 +31,7 @@ def list_(store, flights, sort, limit, offset, as_json, quiet, **filters) -> Non
     """List the aircraft of the store, those that need attention first, or its flights.
 
     state: fault (a rotor has lost thrust, or the last diagnosed flight crashed or had a fault), suspect (signs of a fault, or an earlier
-    fault without a recorded service since), not judged, healthy. new: flights since this list was last shown.
+    fault without a recorded service since), not assessed, healthy. new: flights since this list was last shown.
     """
     from rotorwatch.fleet import condition
 

@@ -73,7 +73,7 @@ def settings(estimator: str, matters: float, *files: Path | None) -> str:
 
 
 def diagnose(request: Request, explain: Callable[[Exception], str]) -> int:
-    """Judge all logs; returns the exit code. explain: makes a sentence of an exception. However it ends, the answers so far are shown."""
+    """Assess all logs; returns the exit code. explain: makes a sentence of an exception. However it ends, the answers so far are shown."""
     from rotorwatch.diagnose_many import Answer, diagnose_many
     from rotorwatch.report import markdown, overview, parquet_tables
 

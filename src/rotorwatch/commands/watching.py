@@ -1,4 +1,4 @@
-"""The command that judges vehicles while they fly."""
+"""The command that assesses vehicles while they fly."""
 
 from __future__ import annotations
 
@@ -196,5 +196,5 @@ def _code(vehicles) -> int:
     faults = [e for v in vehicles for e in v.events if e.means.wrong]
     if any(e.means.accuses or e.rotors for e in faults):
         return FAULT
-    open_ = any(v.trouble or v.session is None or v.session.doubt or not v.session.judged for v in vehicles)
+    open_ = any(v.trouble or v.session is None or v.session.doubt or not v.session.assessed for v in vehicles)
     return NOTHING if not vehicles or open_ or faults else 0

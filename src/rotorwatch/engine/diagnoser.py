@@ -28,18 +28,18 @@ ROOM = 128  # ticks in one call
 MANY = 32  # pieces whose memory is worth giving back before the next columns are joined
 
 
-class Judged(NamedTuple):
+class Assessed(NamedTuple):
     """Ticks that have become certain, with the estimator's outputs."""
 
     table: Ticks
     out: TickOutput
 
-    def part(self, keep: np.ndarray | slice) -> Judged:
+    def part(self, keep: np.ndarray | slice) -> Assessed:
         """The ticks `keep` (T,) bool, or from one to another."""
-        return Judged(self.table.part(keep), TickOutput(*(column[keep] for column in self.out)))
+        return Assessed(self.table.part(keep), TickOutput(*(column[keep] for column in self.out)))
 
     @staticmethod
-    def joined(parts: list[Judged]) -> Judged | None:
+    def joined(parts: list[Assessed]) -> Assessed | None:
         """Consecutive ones joined; None without any. The list is emptied, to save memory."""
         if len(parts) < 2:
             return parts[0] if parts else None
@@ -49,7 +49,7 @@ class Judged(NamedTuple):
         if len(tables) > MANY:
             tables.clear()
             memory.give_back()
-        return Judged(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
+        return Assessed(table, TickOutput(*(np.concatenate(columns.pop(0)) for _ in TickOutput._fields)))
 
 
 class Written(NamedTuple):
@@ -99,21 +99,21 @@ class Diagnoser:
         """Continue with other sampling rates; the length of a tick stays."""
         self.plan, self._plan = plan, laid_out(plan, known_hover(self.vehicle), self._mixing)
 
-    def feed(self, samples: Samples) -> list[Judged]:
+    def feed(self, samples: Samples) -> list[Assessed]:
         """Add samples, in time order; returns the ticks that they make certain."""
         found, first, many = [], 0, ROOM
         while first < len(samples) or many == ROOM:
             rest = first, len(samples), samples.kind, samples.time, samples.at, samples.values
             many = self._call(feed.feed, *rest)
             first = int(self._fed["samples"][0])
-            found += self._judged(many)
+            found += self._assessed(many)
         return found
 
-    def finish(self, end: float) -> list[Judged]:
+    def finish(self, end: float) -> list[Assessed]:
         """No sample comes after `end` s: returns the remaining ticks."""
         found = []
         while many := self._call(feed.finish, end):
-            found, end = [*found, *self._judged(many)], LASTS
+            found, end = [*found, *self._assessed(many)], LASTS
         return found
 
     def fell(self, at: float) -> None:
@@ -190,10 +190,10 @@ class Diagnoser:
         ENGINE.call(function, self._engine, *constants, *arguments, *self._room, ROOM, self._fed)
         return int(self._fed["ticks"][0])
 
-    def _judged(self, count: int) -> list[Judged]:
+    def _assessed(self, count: int) -> list[Assessed]:
         if not count:
             return []
         made, out = self._room
         table = columns(made.cut(count), self.plan, len(self.vehicle.rotors), self.contacts).part(np.arange(count))
         self.contacts = table.contacts
-        return [Judged(replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors)))]
+        return [Assessed(replace(table, curve=self.vehicle.curve.believed), program.outputs(out, count, len(self.vehicle.rotors)))]

@@ -20,7 +20,7 @@ import numpy as np
 from rotorwatch.base import memory
 from rotorwatch.base.compiling.structs import LASTS
 from rotorwatch.engine.definition import Samples, pieces
-from rotorwatch.engine.diagnoser import Checkpoint, Diagnoser, Judged, Written
+from rotorwatch.engine.diagnoser import Assessed, Checkpoint, Diagnoser, Written
 from rotorwatch.engine.intake.sense import SUM_S
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.air_spans import Gap
@@ -44,11 +44,11 @@ RECORDED = "best", "probability", "onsets", "active", "each", "share", "gives"
 
 
 class Piece(NamedTuple):
-    """Result of a step. spans: ((start, end), ...) s of each flight so far, end infinite while airborne; judged: the new ticks, None
+    """Result of a step. spans: ((start, end), ...) s of each flight so far, end infinite while airborne; assessed: the new ticks, None
     without any; rolled_back: these replace all ticks since the checkpoint whose `extra` is given."""
 
     spans: Spans
-    judged: Judged | None = None
+    assessed: Assessed | None = None
     rolled_back: bool = False
     extra: Any = None
 
@@ -72,13 +72,13 @@ class Driver:
         *,
         keep_s: float = 0.0,
         snapshot: Callable[[], Any] = lambda: None,
-        kept: Callable[[Judged], Judged] = lambda judged: judged,
+        kept: Callable[[Assessed], Assessed] = lambda assessed: assessed,
     ):
         """about: parameters and facts of the flight; keep_s: samples that are kept for others, at least; snapshot: state of the owner that
         belongs to a checkpoint, copied; kept: the part of each batch of ticks that is kept."""
         self.window, self.vehicle = Window(about), vehicle
         self.diagnoser: Diagnoser | None = None
-        self.dynamics: dict | None = None  # noise and gains by which it judges
+        self.dynamics: dict | None = None  # noise and gains by which it assesses
         self._keep_s, self._snapshot, self._kept = keep_s, snapshot, kept
         self._mixing, self._planned_aloft = False, False
         self._fed: dict[str, float] = {}  # signal -> time of its last sample that was fed
@@ -123,9 +123,9 @@ class Driver:
         diagnoser = self.diagnoser or self._begin()
         if diagnoser is None:
             return None
-        judged = self._feed(diagnoser, progress=progress)
-        judged += map(self._kept, diagnoser.finish(end))
-        return self._piece(diagnoser, judged)
+        assessed = self._feed(diagnoser, progress=progress)
+        assessed += map(self._kept, diagnoser.finish(end))
+        return self._piece(diagnoser, assessed)
 
     def follow(self, spans: Spans) -> Piece | None:
         """Take over the end of each flight, ((start, end), ...) s: earlier than the engine knows after an impact. The replacement of all
@@ -147,9 +147,9 @@ class Driver:
         self._reached = max(mark.fed.values(), default=-np.inf)
         self._fed, self._messages = dict(mark.fed), list(mark.messages)
         self._marks, self._first = [mark._replace(messages=[])], -np.inf
-        judged = self._feed(diagnoser, until)
+        assessed = self._feed(diagnoser, until)
         self._messages = waiting
-        return self._piece(diagnoser, judged)._replace(rolled_back=True, extra=copy.deepcopy(mark.extra))
+        return self._piece(diagnoser, assessed)._replace(rolled_back=True, extra=copy.deepcopy(mark.extra))
 
     @property
     def plan(self) -> Plan | None:
@@ -206,13 +206,13 @@ class Driver:
             how = plan(flight, commands, READY_S)
         return self.begin(flight, how, dynamics)
 
-    def _piece(self, diagnoser: Diagnoser, found: list[Judged]) -> Piece:
-        judged = Judged.joined(found)
-        if judged is not None:
-            time = judged.table.command_time
+    def _piece(self, diagnoser: Diagnoser, found: list[Assessed]) -> Piece:
+        assessed = Assessed.joined(found)
+        if assessed is not None:
+            time = assessed.table.command_time
             self._first = float(time[0]) if self._first == -np.inf else self._first
             self._time = float(time[-1])
-        return Piece(diagnoser.spans, judged)
+        return Piece(diagnoser.spans, assessed)
 
     def checkpoint(self) -> None:
         """Set a checkpoint where the last one is old; to be called when the owner has taken over all ticks so far."""
@@ -225,7 +225,7 @@ class Driver:
 
     def _feed(
         self, diagnoser: Diagnoser, until: Mapping[str, float] | None = None, progress: Callable[[float], object] | None = None
-    ) -> list[Judged]:
+    ) -> list[Assessed]:
         """The ticks made by the samples since the last call; until: of each signal only those up to this time [s]."""
         window, signals = self.window, {}
         for name in window.names:
@@ -241,14 +241,14 @@ class Driver:
         for mark in self._marks:
             mark.messages.extend(messages)
         taken = parts(signals, messages, self.vehicle, diagnoser.plan.gyro, "battery" in window.names)
-        total, done, judged = sum(len(part.time) for part in taken), 0, []
+        total, done, assessed = sum(len(part.time) for part in taken), 0, []
         for samples in pieces(taken):
             for piece in self._to_lift_off(diagnoser, samples):
-                judged += map(self._kept, diagnoser.feed(piece))
+                assessed += map(self._kept, diagnoser.feed(piece))
             done += len(samples)
             if progress:
                 progress(done / total)
-        return judged
+        return assessed
 
     def _to_lift_off(self, diagnoser: Diagnoser, samples: Samples) -> Iterator[Samples]:
         """The samples, cut at lift-offs of flights with a known end, which the engine is given there."""
@@ -271,7 +271,7 @@ def fly(
     dynamics: dict | None = None,
     progress: Callable[[float], object] | None = None,
     whole: bool = False,
-) -> tuple[Written, Judged] | None:
+) -> tuple[Written, Assessed] | None:
     """The engine's records of a whole log, and its ticks up to the last command; None where no commands are known in the air.
 
     air: its flights ((start, end), ...) s, cut at impacts; ready_s: blind time after lift-off [s]; dynamics: noise and gains of this
@@ -288,12 +288,12 @@ def fly(
     diagnoser.trim.set(every=LASTS)  # looked at once, at the end
     piece = driver.finish(max(flight.duration, float(flight["motors"].time[-1])), progress)
     memory.give_back()
-    assert piece is not None and piece.judged is not None and piece.judged.table.seen is not None
-    commanded = np.flatnonzero(piece.judged.table.seen)
+    assert piece is not None and piece.assessed is not None and piece.assessed.table.seen is not None
+    commanded = np.flatnonzero(piece.assessed.table.seen)
     if not commanded.size:
         return None
-    judged = piece.judged.part(slice(0, int(commanded[-1]) + 1))
-    return diagnoser.written, judged._replace(table=grounded(judged.table, air))
+    assessed = piece.assessed.part(slice(0, int(commanded[-1]) + 1))
+    return diagnoser.written, assessed._replace(table=grounded(assessed.table, air))
 
 
 def observe(
@@ -304,6 +304,6 @@ def observe(
     return None if flown is None else flown[1].table
 
 
-def _without_recorded(judged: Judged) -> Judged:
-    none = np.empty((len(judged.table.time), 0))
-    return judged._replace(out=judged.out._replace(**dict.fromkeys(RECORDED, none)))
+def _without_recorded(assessed: Assessed) -> Assessed:
+    none = np.empty((len(assessed.table.time), 0))
+    return assessed._replace(out=assessed.out._replace(**dict.fromkeys(RECORDED, none)))

@@ -27,7 +27,7 @@ from rotorwatch.engine.intake.deviations import Override
 from rotorwatch.engine.intake.front import Front
 from rotorwatch.engine.intake.sense import Plan
 from rotorwatch.engine.intake.sizes import EVENTS, LISTED, OVERRIDES, PLACES, QUEUE, RECORDS
-from rotorwatch.engine.intake.ticks import CARRIES, JUDGE, Made
+from rotorwatch.engine.intake.ticks import ASSESS, CARRIES, Made
 from rotorwatch.engine.spin.turning import Spin
 from rotorwatch.flight.kinds import SUREST
 
@@ -68,7 +68,7 @@ class Engine(Struct):
     underway: bool = False  # a tick is being processed in pieces
     count: Small = 0  # of events
     landed: bool = False  # the flight has ended, and its last ticks wait
-    judged: bool = False  # a tick has been evaluated
+    assessed: bool = False  # a tick has been evaluated
 
     def begin(self, e: Plant) -> None:
         """Before the first sample."""
@@ -184,10 +184,10 @@ class Engine(Struct):
         return main_event(self.events, self.count)
 
     def verdict(self) -> int:
-        """NOT_JUDGED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin; a loss that
-        seems to grow is ambiguous until it is certain."""
-        told = verdict(self.events, self.count, self.judged and self.front.air.unseen == 0 and not self.spin.spun)
-        return AMBIGUOUS if told == HEALTHY and self.trim.growth.count > 0 and self.trim.growth.grew else told
+        """NOT_ASSESSED, HEALTHY, FAULT or AMBIGUOUS, by the events at the last poll. Not evaluated is not healthy, nor is a spin; a loss
+        that seems to grow is ambiguous until it is certain."""
+        reported = verdict(self.events, self.count, self.assessed and self.front.air.unseen == 0 and not self.spin.spun)
+        return AMBIGUOUS if reported == HEALTHY and self.trim.growth.count > 0 and self.trim.growth.grew else reported
 
     def _write(self, v: Vehicle, p: Plan) -> None:
         """Record the tick and the estimator's output."""
@@ -198,7 +198,7 @@ class Engine(Struct):
         self.report.tick(tick.time, tick.start, tick.upset)
         if tick.touch.is_new:
             self.report.contact(tick.touch.time, tick.touch.push, tick.touch.size)
-        self.judged = self.judged or tick.mode == JUDGE
+        self.assessed = self.assessed or tick.mode == ASSESS
         lacking = local(REAL, 3)
         for a in range(3):
             lacking[a] = self.out.biases[a]

@@ -18,7 +18,7 @@ from rotorwatch.base.compiling.translate import Translation
 from rotorwatch.engine.definition import ESTIMATOR
 from rotorwatch.engine.estimator import batch, estimator_sizes
 from rotorwatch.engine.estimator.estimator import Estimator
-from rotorwatch.engine.motion.tick_table import JUDGE
+from rotorwatch.engine.motion.tick_table import ASSESS
 from rotorwatch.errors import ConfigError
 from rotorwatch.export.export_diagnoser import plant_table, settings, text_of
 from rotorwatch.export.projects import Exported, saved
@@ -108,7 +108,7 @@ void {NAME}_run(int32_t rows, {NAME}_state *state, const rw_real *u, const rw_re
 def _inputs(n: int) -> str:
     return f"""u: thrust_1 to thrust_{n} [hover thrust], p_dot, q_dot, r_dot [rad/s^2], {n} x load factor, p, q, r [rad/s],
    side force forward, right [m/s^2], full thrust of a rotor [hover thrust], expo of the thrust curve, its standard deviation,
-   speed along the thrust axis [m/s; NaN where it is not known], mode (0 on the ground, 1 learn, 2 judge), restart (1 at the first tick
+   speed along the thrust axis [m/s; NaN where it is not known], mode (0 on the ground, 1 learn, 2 assess), restart (1 at the first tick
    of a flight, 2 at a contact)"""
 
 
@@ -122,7 +122,7 @@ def _example(name: str, B: np.ndarray) -> str:
     """A main that hovers for a thousand ticks, and prints the losses."""
     n = B.shape[1]
     thrust, zeros = np.ones(n), [0.0] * 3
-    u = [*thrust, *zeros, n, *zeros, 0.0, 0.0, 2.5, 0.65, 0.0, 0.0, JUDGE, 0.0]
+    u = [*thrust, *zeros, n, *zeros, 0.0, 0.0, 2.5, 0.65, 0.0, 0.0, ASSESS, 0.0]
 
     def numbers(values: Any) -> str:
         return ", ".join(f"(rw_real){float(v)!r}" for v in values)

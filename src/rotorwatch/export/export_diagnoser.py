@@ -70,7 +70,7 @@ def settings(B: np.ndarray, dt: float) -> dict[str, Any]:
         "DIRECTIONS": directions, "CROSSES": directions * (directions + 1) // 2, "SLOTS": engine_sizes.SLOTS,
         "RING": engine_sizes.RING, **TRIM, "COLUMNS": 1 + n,
         "RECORDS": 2 * n + 4, "TOGETHER": min(4, n), "ALTERNATIVES": places + 2 + opposite,
-        "CONTACTS": 4, "FALLS": 4, "EVENTS": 12, "TOLD_EVENTS": "(RW_EVENTS + 4)",
+        "CONTACTS": 4, "FALLS": 4, "EVENTS": 12, "REPORTED_EVENTS": "(RW_EVENTS + 4)",
         "LISTED": "(RW_RECORDS > RW_EVENTS ? RW_RECORDS : RW_EVENTS)",
         "TICKS_BEFORE": look_back(dt), "SETTLING": 2 * look_back(dt) + 4, "QUEUE": round(QUEUE_S / dt), "WAITING": 8, "FLIGHTS": 4,
         "LEVELS": 8, "PENDING": 8, "OVERRIDES": 2 * n, "SAMPLES": 64,

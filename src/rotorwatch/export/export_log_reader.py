@@ -1,4 +1,4 @@
-"""The diagnoser with readers of ULog and DataFlash logs as a C99 library, a command, and a page that judges logs in a browser.
+"""The diagnoser with readers of ULog and DataFlash logs as a C99 library, a command, and a page that assesses logs in a browser.
 
     export_log_reader("out", page=True)
 
@@ -34,13 +34,13 @@ from rotorwatch.export import projects
 from rotorwatch.flight import kinds, vehicle, vehicle_kind
 from rotorwatch.logs import dataflash, dataflash_rotors, lone_values, plausible
 from rotorwatch.witnesses import near_ground, witness
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 
 SOURCES = Path(__file__).parent / "log_reader_c"
 PAGE, SCRIPT = "rotorwatch.html", "rotorwatch.mjs"
 LEFT_TO_DIAGNOSE = (
     "These are the events that a flight controller would have announced. Only rotorwatch diagnose compares them with wind, a shifted load "
-    "or late rotors, tests in all its ways whether the log contradicts itself, and judges losses of control, damage present at take-off, "
+    "or late rotors, tests in all its ways whether the log contradicts itself, and assesses losses of control, damage present at take-off, "
     "ESC telemetry, vibration and reports of the autopilot."
 )
 WASM = (
@@ -52,7 +52,7 @@ WASM = (
     "-Wl,--stack-first",
     "-Wl,-z,stack-size=1048576",
 )
-EXPORTED = "malloc", "free", "rw_judge_log"
+EXPORTED = "malloc", "free", "rw_assess_log"
 
 
 def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
@@ -69,11 +69,11 @@ def export_log_reader(out: str | Path, page: bool = False) -> tuple[Path, ...]:
     if page:
         code, script = compiled(folder), (SOURCES / SCRIPT).read_text(encoding="utf-8")
         template = (SOURCES / PAGE).read_text(encoding="utf-8")
-        told = {row.name: {"noun": row.noun, "weakens": row.weakens, "accuses": row.accuses} for row in kinds.table().values()}
+        reported = {row.name: {"noun": row.noun, "weakens": row.weakens, "accuses": row.accuses} for row in kinds.table().values()}
         filled = {
-            "@KINDS@": json.dumps(told),
+            "@KINDS@": json.dumps(reported),
             "@CODE@": base64.b64encode(code).decode(),
-            "@JUDGE@": script.partition("// begin\n")[2].partition("// end\n")[0],
+            "@ASSESS@": script.partition("// begin\n")[2].partition("// end\n")[0],
         }
         for mark, text in filled.items():
             template = template.replace(mark, text)
@@ -128,7 +128,7 @@ def tables() -> str:
         "PLAN_LATE_S": sense.LATE_S, "PLAN_SIDE_S": sense.SIDE_S, "PLAN_BEFORE_S": sense.BEFORE_S, "PLAN_CONFIRM_S": airborne.CONFIRM_S,
         "LEAST_COMMANDS": driver.LEAST, "FASTER": allocation.FASTER, "COARSE": allocation.COARSE, "ENOUGH_STEPS": allocation.ENOUGH_STEPS,
         "AEROBATIC_HZ": aerobatic.LEAST_HZ, "HOVERING": aerobatic.HOVERING, "CARRIES_LEAST": aerobatic.CARRIES[0],
-        "CARRIES_MOST": aerobatic.CARRIES[1], "JUDGED_LEAST_S": conclusion.LEAST_S, "RAW_TORQUE": dataflash.RAW_TORQUE,
+        "CARRIES_MOST": aerobatic.CARRIES[1], "ASSESSED_LEAST_S": conclusion.LEAST_S, "RAW_TORQUE": dataflash.RAW_TORQUE,
         "RAW_THROTTLE": dataflash.RAW_THROTTLE, "STILL": mixing.STILL, "STILL_S": trust.STILL_S, "STILL_RAD": trust.STILL_RAD,
         "STILL_LONG_S": trust.STILL_LONG_S, "STILL_LONG_RAD": trust.STILL_LONG_RAD, "STILL_SAMPLES": trust.STILL_SAMPLES,
         "WINDOW_S": mixing.WINDOW_S, "WINDOW_LEAST": mixing.LEAST, "LEAST_WINDOWS": mixing.LEAST_WINDOWS, "SEEN": mixing.SEEN,

@@ -1,6 +1,6 @@
 """A store of flights and their aircraft, and the analysis of every aircraft and rotor over all its flights.
 
-flight_result.py    a log judged, as a store entry
+flight_result.py    a log assessed, as a store entry
 summary.py          an answer as a line of a list
 tables.py           the tables, and the upgrade of older stores
 address.py          the store's location
@@ -9,7 +9,7 @@ listing.py          filters and orders of lists of flights
 report_files.py     the reports of flights, kept next to the store
 damage.py           the damaged row of a store, when work on it has failed
 store.py            flights and aircraft: all reads and writes go through here
-add.py              logs into the store, once or as they come; its flights judged again
+add.py              logs into the store, once or as they come; its flights assessed again
 scatter.py          scatter of healthy flights
 attribution.py      changes of an aircraft: wear, damage, shifted weights, each with its evidence
 prognosis.py        time at which a wearing rotor reaches a limit

@@ -1,4 +1,4 @@
-"""Logs into the store: files, folders and patterns, once or as they come; and the store's own flights judged again."""
+"""Logs into the store: files, folders and patterns, once or as they come; and the store's own flights assessed again."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def add(
         fates.append(outcome)
         tell(outcome)
         if progress:
-            progress(len(fates) / len(logs), "judging")
+            progress(len(fates) / len(logs), "assessing")
 
     paths = store.paths() if any(map(is_address, logs)) else set()
 
@@ -79,7 +79,7 @@ def add(
             else:
                 fate(outcome)
 
-    for done in many.in_order(_Judge(aircraft, vehicle), unknown(), jobs, scheduler):
+    for done in many.in_order(_Assessor(aircraft, vehicle), unknown(), jobs, scheduler):
         log = new[done.index]
         _expected(done.error)
         if done.error:
@@ -91,7 +91,7 @@ def add(
 
 
 @dataclass(frozen=True)
-class _Judge:
+class _Assessor:
     """The work on a log, in any process."""
 
     aircraft: str
@@ -118,7 +118,7 @@ def _expected(error: Exception | None) -> None:
 
 
 def _given(vehicle: Vehicle | None) -> str:
-    """Key of everything but the file's bytes that decides whether it can be judged: this version, and the given vehicle."""
+    """Key of everything but the file's bytes that decides whether it can be assessed: this version, and the given vehicle."""
     craft = "" if vehicle is None else hashlib.sha256(repr(vehicle).encode()).hexdigest()[:16]
     return f"{__version__} {craft}".strip()
 
@@ -131,8 +131,8 @@ def _refuse(store: Store, log: Path | str, how: str, error: Exception) -> None:
 
 
 def _before(store: Store, log: Path | str, paths: Set[str], how: str) -> Outcome | None:
-    """The outcome of a log that need not be judged; None where it must be. A log behind an address that is not among `paths`, those in the
-    store, is fetched once, by the process that judges it. how: `_given`; empty for a log that is retried."""
+    """The outcome of a log that need not be assessed; None where it must be. A log behind an address that is not among `paths`, those in
+    the store, is fetched once, by the process that assesses it. how: `_given`; empty for a log that is retried."""
     if is_address(log) and full(log) not in paths:
         return None
     try:
@@ -165,7 +165,7 @@ def follow(
     poll_s: float = POLL_S,
     stop: Callable[[], bool] = lambda: False,
     assessed: Callable[[Store], None] = lambda store: None,
-    alert: Callable[[dict[str, str]], None] = lambda told: None,
+    alert: Callable[[dict[str, str]], None] = lambda reported: None,
 ) -> None:
     """Add logs as they come into folders, until `stop`. A file is taken when its size and time have not changed between two polls. When the
     store cannot be reached, `trouble` is called once, and every poll retries. assessed: called after the aircraft have been assessed.
@@ -183,16 +183,16 @@ def follow(
                     if is_log(path):
                         outcomes, _ = add(store, [path], aircraft, vehicle, tell, jobs=1, insist=False)
                         new |= any(one.state == "added" for one in outcomes)
-                        for told in _flight_alerts(outcomes):
-                            alert(told)
+                        for reported in _flight_alerts(outcomes):
+                            alert(reported)
                     settled[path] = mark
                 seen[path] = mark
             if new or unwell:
                 assess.refresh(store)
                 assessed(store)
                 aircraft_now = store.aircraft()
-                for told in _aircraft_alerts(states, aircraft_now):
-                    alert(told)
+                for reported in _aircraft_alerts(states, aircraft_now):
+                    alert(reported)
                 states = {a["key"]: a["state"] for a in aircraft_now}
             unwell = ""
         except StoreError as why:
@@ -211,7 +211,7 @@ def _flight_alerts(outcomes: Iterable[Outcome]) -> Iterator[dict[str, str]]:
 
 
 def _aircraft_alerts(before: Mapping[str, str], aircraft: Iterable[Mapping]) -> Iterator[dict[str, str]]:
-    """type aircraft, aircraft, state, was, headline of each aircraft whose state is more urgent than before; a new one was not judged."""
+    """type aircraft, aircraft, state, was, headline of each aircraft whose state is more urgent than before; a new one was not assessed."""
     for a in aircraft:
         was = before.get(a["key"], condition.UNKNOWN)
         if a["state"] in (condition.FAULT, condition.SUSPECT) and condition.STATES.index(a["state"]) < condition.STATES.index(was):
@@ -233,7 +233,7 @@ def _files(folders: Iterable[Path]) -> Iterator[tuple[Path, tuple[int, int]]]:
 
 @dataclass(frozen=True)
 class Change:
-    """A flight changed by judging it again. before, after: (verdict, headline); lost: why it could not be judged again, or ""."""
+    """A flight changed by assessing it again. before, after: (verdict, headline); lost: why it could not be assessed again, or ""."""
 
     hash: str
     name: str
@@ -243,7 +243,7 @@ class Change:
     lost: str = ""
 
 
-def rejudge(
+def reassess(
     store: Store,
     every: bool = False,
     aircraft: str | None = None,
@@ -251,8 +251,8 @@ def rejudge(
     jobs: int | None = None,
     scheduler: str | None = None,
 ) -> tuple[int, list[Change]]:
-    """Judge flights again that another version of rotorwatch has judged; every: all of them. Returns their number, and the changes; a log
-    that is gone or has another content keeps its result, and is among them. jobs, scheduler: as for `add`."""
+    """Assess flights again that another version of rotorwatch has assessed; every: all of them. Returns their number, and the changes; a
+    log that is gone or has another content keeps its result, and is among them. jobs, scheduler: as for `add`."""
     rows = store.flights("date", limit=None, aircraft=aircraft)
     rows = [r for r in rows if every or r["version"] != __version__]
     if jobs is None and scheduler is None:
@@ -265,7 +265,7 @@ def rejudge(
         before = after = row["verdict"], row["headline"]
         if done.error is None:
             try:
-                store.judge_again(done.value)
+                store.assess_again(done.value)
             except NotInStore:  # deleted meanwhile
                 continue
             count += 1

@@ -6,14 +6,15 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from rotorwatch.answer.wording import listed
 
-FAULT, SUSPECT, UNKNOWN, HEALTHY = STATES = ("fault", "suspect", "not judged", "healthy")  # the most urgent first
+FAULT, SUSPECT, UNKNOWN, HEALTHY = STATES = ("fault", "suspect", "not assessed", "healthy")  # the most urgent first
 URGENT = {"damaged": 0, "worn": 1, "suspect": 2}  # states of a rotor with a fault
 BAD = ("crashed", "fault")
 
 
 def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> str:
     """The state, from STATES. verdicts, fell: of the flights since the last service, in order, and whether control was lost in them;
-    rotors: the states of its rotors. An undecided verdict clears no fault; a rotor or a last flight that was not judged is not healthy."""
+    rotors: the states of its rotors. An undecided verdict clears no fault; a rotor or a last flight that was not assessed is not
+    healthy."""
     rotors = list(rotors)
     bad = [verdict in BAD or lost for verdict, lost in zip(verdicts, fell, strict=True)]
     decided = [k for k, verdict in enumerate(verdicts) if bad[k] or verdict != "inconclusive"]
@@ -21,8 +22,8 @@ def of(verdicts: Sequence[str], fell: Sequence[bool], rotors: Iterable[str]) -> 
         return FAULT
     if any(r in URGENT for r in rotors) or any(bad) or (decided and verdicts[decided[-1]] == "ambiguous"):
         return SUSPECT
-    last_judged = verdicts and decided and decided[-1] == len(verdicts) - 1
-    return HEALTHY if last_judged and rotors and not {"unknown", "serviced"} & set(rotors) else UNKNOWN
+    last_assessed = verdicts and decided and decided[-1] == len(verdicts) - 1
+    return HEALTHY if last_assessed and rotors and not {"unknown", "serviced"} & set(rotors) else UNKNOWN
 
 
 def flights(verdicts: Sequence[str], fell: Sequence[bool]) -> str:

@@ -22,7 +22,7 @@ svg { width: 100%; height: auto; display: block; } svg text { font: 11px system-
 .fault, .worn, .damaged { color: var(--bad); font-weight: 600; } .suspect { color: var(--doubt); font-weight: 600; } .healthy { color:
 var(--good); } .lead { font-size: 1.15rem; }
 .of-fault { border-left: 5px solid var(--bad); } .of-suspect { border-left: 5px solid var(--doubt); }
-body { overflow-wrap: anywhere; } .not-judged { color: inherit; }
+body { overflow-wrap: anywhere; } .not-assessed { color: inherit; }
 @media (max-width: 40rem) { body { margin: 1rem auto; } .more { display: none; } table, thead, tbody { display: block; }
 tr { display: grid; grid-template-columns: 1fr auto auto auto; border-bottom: 1px solid var(--line); }
 th, td { border: 0; padding: .2rem .3rem; }

@@ -1,4 +1,4 @@
-"""A judged log as a store entry."""
+"""An assessed log as a store entry."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rotorwatch.witnesses.healthy import whole_flight
 
 
 def entry(path: str | os.PathLike, aircraft: str = "", vehicle: Vehicle | None = None, progress: Callable | None = None) -> Entry:
-    """Read and judge a log. aircraft: a name to use in place of what the log says. Raises LogError, VehicleError or ConfigError."""
+    """Read and assess a log. aircraft: a name to use in place of what the log says. Raises LogError, VehicleError or ConfigError."""
     from rotorwatch import logs
 
     hash = logs.fingerprint(path)[1]

@@ -55,7 +55,7 @@ class Reports:
             if not self._known(aside.stem):
                 aside.unlink(missing_ok=True)  # first: another program that opens the store may be restoring it
                 page.unlink(missing_ok=True)
-            elif page.exists():  # judged again since
+            elif page.exists():  # assessed again since
                 aside.unlink(missing_ok=True)
             elif aside.exists():
                 os.replace(aside, page)

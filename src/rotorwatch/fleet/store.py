@@ -55,7 +55,7 @@ ALL = 1 << 62  # rows: more than there can be
 
 @dataclass(frozen=True)
 class Entry:
-    """A judged flight as stored.
+    """An assessed flight as stored.
 
     hash: SHA-256 of the log's bytes, hexadecimal. identity: of its aircraft, or "" when unknown; called: the name of a new aircraft. utc:
     of second 0, ISO 8601, or None; clock_us: the log's own clock then; count: the autopilot's number of the flight, or None. build: alike
@@ -140,7 +140,7 @@ class Store:
             db.insert("trims", hash=entry.hash, trim=_json(entry.trim))
         return True
 
-    def judge_again(self, entry: Entry) -> None:
+    def assess_again(self, entry: Entry) -> None:
         """Replace the result of a stored flight; its place, its path and its aircraft stay. Raises StoreError when it is not there."""
         row = {k: v for k, v in _row(entry).items() if k not in ("hash", "path", "name", "size", "identity")}
         columns = ", ".join(f"{name} = :{name}" for name in row)
@@ -232,7 +232,7 @@ class Store:
             db.insert("meta", key="looked", value=str(last))
 
     def refuse(self, hash: str, path: str, given: str, why: str) -> None:
-        """Remember that a file cannot be judged. given: the settings apart from its bytes; why: the sentence."""
+        """Remember that a file cannot be assessed. given: the settings apart from its bytes; why: the sentence."""
         row = {"hash": hash, "path": path, "given": given, "why": why}
         with self._database.writing() as db:
             db.run("DELETE FROM refused WHERE hash = :hash", hash=hash)
@@ -274,12 +274,12 @@ class Store:
             return bool(db.value("SELECT hash FROM flights WHERE hash = :hash", hash=hash))
 
     def refused(self, hash: str, given: str) -> str:
-        """The reason why a file with these bytes could not be judged with the same settings (`refuse`); empty where unknown."""
+        """The reason why a file with these bytes could not be assessed with the same settings (`refuse`); empty where unknown."""
         with self._database.reading() as db:
             return db.value("SELECT why FROM refused WHERE hash = :hash AND given = :given", hash=hash, given=given) or ""
 
     def paths(self) -> set[str]:
-        """Paths and addresses of all logs in the store, and of files that could not be judged."""
+        """Paths and addresses of all logs in the store, and of files that could not be assessed."""
         with self._database.reading() as db:
             return {row["path"] for row in db.rows("SELECT path FROM flights UNION SELECT path FROM refused")}
 

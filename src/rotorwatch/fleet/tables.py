@@ -114,7 +114,7 @@ standings = sa.Table(
     _column("points"),
 )
 
-# Files that could not be judged. given: the version that tried, and its settings; why: the sentence.
+# Files that could not be assessed. given: the version that tried, and its settings; why: the sentence.
 refused = sa.Table("refused", metadata, _column("hash", primary_key=True), *(_column(name) for name in ("path", "given", "why")))
 
 

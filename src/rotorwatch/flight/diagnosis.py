@@ -14,7 +14,7 @@ from rotorwatch.errors import ConfigError
 from rotorwatch.flight import kinds
 from rotorwatch.flight.method_series import MOST_ROWS, MethodSeries
 
-SCHEMA = 2
+SCHEMA = 3
 TINY = 1e-12  # probabilities are rounded to less
 EXIT_CODES = {"healthy": 0, "fault": 1, "crashed": 1, "ambiguous": 3, "inconclusive": 3}
 # Fields of the JSON answer (docs/json.md) in their order; of an event, before those of its kind; of a rotor.
@@ -45,14 +45,15 @@ class Trend:
 
 @dataclass(frozen=True)
 class RotorState:
-    """A rotor at the end of the judged flight. rotor: 1-based. loss: 0 healthy .. 1 dead.
+    """A rotor at the end of the assessed flight. rotor: 1-based. loss: 0 healthy .. 1 dead.
 
     interval: 95 %, over all explanations; the largest undetected loss where nothing was found. status: healthy, degraded (lost some, or
     slow), failed (lost most), suspect (one of several explanations, or evidence that no event explains) or unobservable. place: in words.
-    since_takeoff: 95 % interval of the change since take-off, where judged. from_takeoff: not judged, healthy, bounded (by healthy vehicles
-    of any build), suspect or damaged. note: its history, in a few words. grade: of the interval of the loss, or of its change since
-    take-off where no more was judged: healthy, worn, weak, critical, failed, two of them, or not judged. trend: None where unknown.
-    imbalance: value, interval, unit and more of its vibration once per turn (docs/balance.md), None where the log cannot hear it."""
+    since_takeoff: 95 % interval of the change since take-off, where assessed. from_takeoff: not assessed, healthy, bounded (by healthy
+    vehicles of any build), suspect or damaged. note: its history, in a few words. grade: of the interval of the loss, or of its change
+    since take-off where no more was assessed: healthy, worn, weak, critical, failed, two of them, or not assessed. trend: None where
+    unknown. imbalance: value, interval, unit and more of its vibration once per turn (docs/balance.md), None where the log cannot hear
+    it."""
 
     rotor: int
     loss: float
@@ -60,9 +61,9 @@ class RotorState:
     status: str
     place: str = ""
     since_takeoff: tuple[float, float] | None = None
-    from_takeoff: str = "not judged"
+    from_takeoff: str = "not assessed"
     note: str = ""
-    grade: str = "not judged"
+    grade: str = "not assessed"
     trend: Trend | None = None
     imbalance: Mapping[str, Any] | None = None
 
@@ -176,7 +177,7 @@ class Trace:
 
     time (T,): s. loss, lower, upper (T, n): estimate and its 95 % interval. residual, residual_sd (T, 4): in hover-thrust units, roll,
     pitch, yaw, thrust. command (T, n): share of full thrust, NaN where none is logged. threshold: of the evidence, log10 odds. evidence:
-    hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) of unjudged time; airborne: ((start, end), ...).
+    hypothesis name -> (T,) log10 odds against healthy; blind: ((start, end, why), ...) of unassessed time; airborne: ((start, end), ...).
     attitude, wanted (T, 3): roll, pitch, yaw in degrees, actual and commanded, or None; messages: ((time, kind, text), ...), kinds as in
     `flight.Message`. rates, rates_wanted (T, 3): the same in degrees/s, of a vehicle flown by rates. position (T, 3): north, east, down in
     m from the lift-off; ground_speed (T,): m/s; battery (T, 2): V, A; vibration (T, 3): standard deviation of the accelerometer above the
@@ -244,7 +245,7 @@ class Diagnosis:
     conclusion.conclude alone.
     flight: the log (docs/json.md). rotors: the state of each at the end. events: in time order. common_mode: common change of all rotors.
     baseline: the healthy flights compared with. assumptions, warnings: sentences. timing: s of each step of the work. estimator: the
-    method's name. comparison: results of the autopilot's own checks. whole_flight: damage from take-off, where judged. trace: time series
+    method's name. comparison: results of the autopilot's own checks. whole_flight: damage from take-off, where assessed. trace: time series
     for plots. doubts: why the log may not show the real flight, a sentence each (the first is then the reason). story: the sequence of a
     loss of control, four sentences in order of time, or empty. picture: attitude and commands around it (docs/json.md), or None. aircraft:
     its identity, such as a serial number; empty where the log has none; not in the JSON. own: of a published method, its own series over

@@ -187,7 +187,7 @@ class Flight:
     signals: canonical name -> Signal (module docstring). parameters: the autopilot's, never the simulator's
     (``SIM_*``). parameter_changes: (time s, name, value) after the start. messages: in time order. warnings: sentences on damaged, missing
     or assumed data. checked: values corrupted by damage of the log have been searched for (`logs.plausible`); otherwise that happens before
-    a flight is judged."""
+    a flight is assessed."""
 
     format: str
     autopilot: str

@@ -42,7 +42,7 @@ def other_kind(flight: Flight) -> str:
 
 
 def refusal(flight: Flight) -> str:
-    """The sentence that refuses this vehicle; empty when it can be judged."""
+    """The sentence that refuses this vehicle; empty when it can be assessed."""
     kind = other_kind(flight)
     if not kind:
         return ""

@@ -61,8 +61,8 @@ class Rotors:
         known = list(self._follower.gone)
         left = self._follower.add(time, speeds, thrust, fresh)[: not known]
         back = [k for k in known if k not in self._follower.gone]
-        told = [(d.rotor + 1, f"the ESC of {rotors([d.rotor + 1])} reports a speed {in_words(d)} since {d.onset:.2f} s") for d in left]
-        return told + [(k + 1, f"the speed of {rotors([k + 1])} follows its command again at {time[-1]:.1f} s") for k in back]
+        reported = [(d.rotor + 1, f"the ESC of {rotors([d.rotor + 1])} reports a speed {in_words(d)} since {d.onset:.2f} s") for d in left]
+        return reported + [(k + 1, f"the speed of {rotors([k + 1])} follows its command again at {time[-1]:.1f} s") for k in back]
 
     def _report(self, time: float, speed: np.ndarray, flying: bool) -> list[tuple[int, str]]:
         known = np.isfinite(speed)

@@ -108,7 +108,7 @@ class Watcher:
         self.states: dict[str, tuple[str, str]] = {}
         self._handed, self._places, self._talks, self._known = handed, places, talks, known
         self._link: Link | None = None
-        self._told: dict[tuple[str, int], tuple] = {}
+        self._reported: dict[tuple[str, int], tuple] = {}
         self._flights: dict[str, int] = {}
         self._stop = threading.Event()
         self._again = 0.0
@@ -178,18 +178,18 @@ class Watcher:
         vehicle = f"vehicle {_number(name)}" if name != NAME else "MAVProxy"
         if alert["type"] == "vehicle":
             self._flights[name] = self._flights.get(name, 0) + 1  # a new flight restarts the numbers of events
-            self._told = {key: told for key, told in self._told.items() if key[0] != name}
+            self._reported = {key: reported for key, reported in self._reported.items() if key[0] != name}
             self._say(f"rotorwatch: {vehicle}: {alert['frame']}, {alert['rotors']} rotors", ground.NOTICE)
             return
         if alert["type"] != "event":
             severity = ground.text_of(alert)[1] if "rotor" in alert else WARNING if alert["type"] == "error" else ground.NOTICE
             self._say(f"rotorwatch: {vehicle}: {alert['text']}", severity)
             return
-        told = name, alert["number"]
-        if not ground.worth_sending(self._told.get(told), alert) and alert["state"] != "final":
+        reported = name, alert["number"]
+        if not ground.worth_sending(self._reported.get(reported), alert) and alert["state"] != "final":
             return
-        announced = told in self._told
-        self._told[told] = ground.gist(alert)
+        announced = reported in self._reported
+        self._reported[reported] = ground.gist(alert)
         if alert["state"] == "withdrawn" and not announced:
             return
         event = alert["event"]

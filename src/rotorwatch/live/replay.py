@@ -10,7 +10,7 @@ import numpy as np
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
 from rotorwatch.live.watched import Watched
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 
 STEP_S, FAST_STEP_S = 0.05, 1.0
 

@@ -63,7 +63,7 @@ class Route:
 
 
 class Routes:
-    """The addresses of one vehicle. followed: the one used for judging; since: its start [s]; usable: input -> time of its last usable
+    """The addresses of one vehicle. followed: the one used for assessing; since: its start [s]; usable: input -> time of its last usable
     samples."""
 
     def __init__(self, first: Route, now: float):

@@ -15,7 +15,7 @@ from rotorwatch.case.conductor import Case
 from rotorwatch.engine.bindings import event_rows as events
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.motion.air_spans import Gap
-from rotorwatch.engine.motion.tick_table import JUDGE, LEARN
+from rotorwatch.engine.motion.tick_table import ASSESS, LEARN
 from rotorwatch.engine.window import LATE
 from rotorwatch.flight import Flight, Message, Signal
 from rotorwatch.flight.diagnosis import Event
@@ -102,7 +102,7 @@ class Session:
         return () if self.case is None else tuple(j.left.lost for j in self.case.departures.found)
 
     @property
-    def judged(self) -> bool:
+    def assessed(self) -> bool:
         """Return whether any tick has been evaluated."""
         return self.ticks > 0
 
@@ -115,7 +115,7 @@ class Session:
     def limits(self) -> str:
         """A sentence on the limits of this link's rate; empty where it is no limit, or not known yet."""
         plan = None if self.case is None else self.case.plan
-        return next((note for note in plan.notes if "are judged every" in note), "") if plan is not None else ""
+        return next((note for note in plan.notes if "are assessed every" in note), "") if plan is not None else ""
 
     @property
     def missing(self) -> tuple[Gap, ...]:
@@ -157,9 +157,9 @@ class Session:
         table, out = self.case.last
         loss = np.asarray(out.theta[-1])
         sd = events.sd_of(loss, np.asarray(out.theta_sd[-1]), self.case.B)
-        judged = table.mode[-1] == JUDGE
+        assessed = table.mode[-1] == ASSESS
         measured = 1.96 * np.asarray(out.detectable[-1])
-        unseen = np.maximum(measured, self.case.unseen.losses()) if judged else np.ones_like(loss)
+        unseen = np.maximum(measured, self.case.unseen.losses()) if assessed else np.ones_like(loss)
         spread = np.where(loss > 0, 1.96 * sd, unseen)
         return loss, np.clip(loss - spread, 0.0, 1.0), np.clip(loss + spread, 0.0, 1.0)
 
@@ -194,7 +194,7 @@ class Session:
                 return "learning after a contact"
             left = self.spans[-1][0] + case.driver.diagnoser.plan.ready_s - table.time[-1]
             return f"learning, {max(left, 0.0):.0f} s left"
-        if table.mode[-1] != JUDGE:
+        if table.mode[-1] != ASSESS:
             return "taking off"
         if not table.valid[-1, :3].any():
             return "no angular rates"

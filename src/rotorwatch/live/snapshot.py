@@ -36,7 +36,7 @@ class Snapshot:
         return any(event.means.accuses or event.rotors for event in self.lasting)
 
     @property
-    def judged(self) -> bool:
+    def assessed(self) -> bool:
         """True if the rotors are being assessed now."""
         silent = time.monotonic() - self.last_frame > view.SILENT_S
         return self.state in ("OK", "MAYBE", "FAULT") and not silent and (not self.blind or self.blind.startswith("thrust"))

@@ -262,7 +262,7 @@ def fastest(*candidates: Signal | None) -> Signal | None:
 
 
 SHOWN = ("gps", "baro", "vibration", "clipping", "innovations", "raw_accel", "raw_gyro")
-"""Signals that no rotor's thrust is judged by: a log of them alone holds no flight, and they do not prolong one."""
+"""Signals that no rotor's thrust is assessed by: a log of them alone holds no flight, and they do not prolong one."""
 
 
 def end_of(signals) -> float:

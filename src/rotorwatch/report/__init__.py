@@ -87,7 +87,7 @@ def rotor_loss(state: RotorState) -> str:
     """Loss in words: '37.0 %'; '?' when not observable; 'none seen' where none was found and damage present at take-off was not checked."""
     if state.status == "unobservable" or (state.status == "suspect" and state.loss == 0.0):
         return "?"
-    only_in_flight = state.status == "healthy" and state.from_takeoff in ("not judged", "bounded")
+    only_in_flight = state.status == "healthy" and state.from_takeoff in ("not assessed", "bounded")
     return "none seen" if only_in_flight else percent(state.loss, 1)
 
 
@@ -95,7 +95,7 @@ def rotor_interval(state: RotorState) -> str:
     """The 95 % interval in words: of the loss, or of the change since take-off where only that was estimated."""
     if state.status == "unobservable":
         return f"up to {up_to(state.since_takeoff[1])} unseen" if state.since_takeoff else ""
-    if state.status == "healthy" and state.from_takeoff in ("not judged", "bounded") and state.since_takeoff:
+    if state.status == "healthy" and state.from_takeoff in ("not assessed", "bounded") and state.since_takeoff:
         at_all = f" (take-off {up_to(state.interval[1])})" if state.from_takeoff == "bounded" else " in flight"
         return f"at most {up_to(state.since_takeoff[1])}{at_all}"
     return interval(*state.interval)

@@ -55,7 +55,7 @@ def _link(diagnosis: Diagnosis, over_flight: list[Any]) -> None:
             _name_events(figure, diagnosis)
 
 
-def judged(diagnosis: Diagnosis) -> Diagnosis | None:
+def assessed(diagnosis: Diagnosis) -> Diagnosis | None:
     """The diagnosis if it has a trace to draw: `data` of the sections with plots over the flight."""
     return diagnosis if diagnosis.trace is not None and diagnosis.trace.time.size > 1 else None
 

@@ -1,6 +1,6 @@
 """Contents of a log, gaps for a diagnosis, and the autopilot's settings that close them.
 
-The diagnosis' own functions decide whether the log can be judged.
+The diagnosis' own functions decide whether the log can be assessed.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from rotorwatch import airframes
-from rotorwatch.answer import settings, unjudged
+from rotorwatch.answer import settings, unassessed
 from rotorwatch.answer.wording import sentence
 from rotorwatch.base.progress import portion
 from rotorwatch.engine.driver import observe
@@ -41,7 +41,7 @@ def info(flight: Flight, progress: Callable[[float], object] | None = None) -> d
 
     Returns schema, name, format, autopilot, firmware, vehicle_type, frame, rotors, duration_s; parameters: how many;
     airborne_s: [[start, end]]; signals: [{name, rate_hz, samples, columns, unit, frame, source, valid (share), start_s,
-    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` judges it; hears: whether it shows the rotors'
+    end_s}]; messages, the notable ones: [{time_s, kind, text}]; ready: whether `diagnose` assesses it; hears: whether it shows the rotors'
     balance: {ready, why, setting, sensor};
     missing: [{signal, why, setting, needed, present: it is there, and would show more faster}]; warnings. docs/json.md has more on each.
     """
@@ -80,7 +80,7 @@ class Obstacle(NamedTuple):
 
 
 def obstacle(flight: Flight, vehicle: Vehicle | None = None, progress: Callable[[float], object] | None = None) -> Obstacle | None:
-    """The first reason for which `diagnose` refuses this flight, or answers that nothing in it can be judged; None when it judges it.
+    """The first reason for which `diagnose` refuses this flight, or answers that nothing in it can be assessed; None when it assesses it.
 
     vehicle: the airframe, for logs that do not name theirs. progress: called with the finished share, 0..1.
     """
@@ -92,7 +92,7 @@ def obstacle(flight: Flight, vehicle: Vehicle | None = None, progress: Callable[
         return Obstacle("motors", "The log has no motor outputs: without them no rotor can be assessed.")
     flight, _ = turning.with_rates(flight)
     if flight.angular_rate() is None:
-        return Obstacle("gyro", sentence(f"{unjudged.MOTIONLESS.why}."))
+        return Obstacle("gyro", sentence(f"{unassessed.MOTIONLESS.why}."))
     air = airborne(flight)
     if progress:
         progress(0.1)

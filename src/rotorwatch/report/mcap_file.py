@@ -6,7 +6,7 @@
     /rotorwatch/motors     rotor_1 ..                          commands, shares of full thrust
     /rotorwatch/attitude   roll, pitch, yaw, and wanted_roll ..  degrees
     /rotorwatch/rates      roll, pitch, yaw, and wanted_roll ..  degrees/s, of a vehicle that is flown by rates
-    /rotorwatch/state      phase                               on the ground, judged, or why not; at every change
+    /rotorwatch/state      phase                               on the ground, assessed, or why not; at every change
     /rotorwatch/events     moment (onset, announced, end) and the fields of docs/json.md
     /rotorwatch/verdict    the answer, once, at the start
     /rotorwatch/log        foxglove.Log: the autopilot's messages and modes, the events, the verdict
@@ -35,7 +35,7 @@ AXES, BAND = ("roll", "pitch", "yaw", "thrust"), ("loss", "lower", "upper")
 ANGLES = AXES[:3]
 NAME = "rotorwatch"
 LOG, INFO, WARNING, ERROR = f"/{NAME}/log", 2, 3, 4  # foxglove.Log's levels
-ON_GROUND, JUDGED = "on the ground", "judged"
+ON_GROUND, ASSESSED = "on the ground", "assessed"
 CLOCKS = {"utc": "UTC", "boot": "time since the autopilot's start", "log": "time since the log's first record"}
 Row = tuple[float, str, str]
 """Time s of the log, topic, JSON."""
@@ -159,10 +159,10 @@ def _fields(names: list[str], row: list[float], of: list[int]) -> str:
 
 
 def _phases(trace: Trace) -> Iterator[Row]:
-    """A message at each change of phase: on the ground, judged, or why blind."""
+    """A message at each change of phase: on the ground, assessed, or why blind."""
     phase = np.full(trace.time.size, ON_GROUND, object)
     for start, end in trace.airborne:
-        phase[(trace.time >= start) & (trace.time <= end)] = JUDGED
+        phase[(trace.time >= start) & (trace.time <= end)] = ASSESSED
     for start, end, why in trace.blind:
         phase[(trace.time >= start) & (trace.time < end) & (phase != ON_GROUND)] = why
     changed = np.flatnonzero(np.r_[True, phase[1:] != phase[:-1]])

@@ -43,7 +43,7 @@ SCHEMAS: dict[str, dict[str, str]] = {
         **dict.fromkeys("rotor_loss rotor_loss_low rotor_loss_high".split(), "float[]"),
     },
     "ticks": {
-        **{"log": "string", "time_s": "double", "judged": "bool"},
+        **{"log": "string", "time_s": "double", "assessed": "bool"},
         **{name: "float" for names in _PARTS.values() for name in names},
     },
     "losses": {
@@ -124,12 +124,12 @@ def _columns(table: str, columns: Mapping[str, Any], count: int) -> Any:
 
 def _ticks(trace: Trace, log: str) -> Any:
     time = trace.time
-    judged = np.zeros(time.size, bool)
+    assessed = np.zeros(time.size, bool)
     for start, end in trace.airborne:
-        judged |= (time >= start) & (time <= end)
+        assessed |= (time >= start) & (time <= end)
     for start, end, _ in trace.blind:
-        judged &= ~((time >= start) & (time < end))
-    columns: dict[str, Any] = {"log": log, "time_s": time, "judged": judged}
+        assessed &= ~((time >= start) & (time < end))
+    columns: dict[str, Any] = {"log": log, "time_s": time, "assessed": assessed}
     for name, parts in _PARTS.items():
         values = getattr(trace, name)
         if values is not None:
@@ -192,7 +192,7 @@ class Writer:
         return self
 
     def __exit__(self, *why: Any) -> None:
-        self.close()  # also after an interruption: what was judged by then is there
+        self.close()  # also after an interruption: what was assessed by then is there
 
 
 def write(diagnosis: Diagnosis, folder: str | os.PathLike) -> list[Path]:

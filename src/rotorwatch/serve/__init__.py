@@ -6,7 +6,7 @@ hub.py          numbered messages to all open pages
 live.py         the watch loop, and its data for the page
 flights.py      the list of flights: the fleet's store, and a page for each
 landed.py       a watched flight that has ended, for the list
-uploads.py      uploaded logs, judged in processes with limits
+uploads.py      uploaded logs, assessed in processes with limits
 comparison.py   the page of two flights side by side
 pages.py        the files of the page (folder page/)
 connections.py  limits on idle connections and on their number

@@ -19,7 +19,7 @@ from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.live.session import Session
 
 LEAST_S = 5.0  # in the air: less is a motor test, unless control was lost
-GAP_S = 1.5  # between two points of a band; more is an unjudged gap
+GAP_S = 1.5  # between two points of a band; more is an unassessed gap
 
 
 class Landings:
@@ -42,17 +42,17 @@ class Landings:
 
 
 def answer(name: str, session: Session, rows: Sequence[tuple], hop: tuple[float, float]) -> Diagnosis:
-    """The Diagnosis of one flight from the live judge's events. rows: of its band (`live.Band`). hop: (start, end) [s]."""
+    """The Diagnosis of one flight from the live assess's events. rows: of its band (`live.Band`). hop: (start, end) [s]."""
     assert session.case is not None
     start, end = hop
     case, vehicle, about = session.case, session.case.vehicle, session.about
-    rows_judged = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
-    steps = np.diff([row[0] for row in rows_judged])
+    rows_assessed = [row for row in rows if len(row) > 1 and start <= row[0] <= end]
+    steps = np.diff([row[0] for row in rows_assessed])
     hidden = np.ones(len(vehicle.rotors))
-    for row in rows_judged:  # the bound of a healthy rotor covers the flight up to then
+    for row in rows_assessed:  # the bound of a healthy rotor covers the flight up to then
         hidden = np.where(np.asarray(row[1]) > 0.0, hidden, row[3])
-    judged_s, blind_s = float(steps[steps < GAP_S].sum()), rows_judged[0][0] - start if rows_judged else 0.0
-    end_of = case.answer(hop, Bounds(hidden, judged_s=judged_s, blind_s=blind_s)).end
+    assessed_s, blind_s = float(steps[steps < GAP_S].sum()), rows_assessed[0][0] - start if rows_assessed else 0.0
+    end_of = case.answer(hop, Bounds(hidden, assessed_s=assessed_s, blind_s=blind_s)).end
     began = datetime.fromtimestamp(time.time() - session.now, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ")
     return Diagnosis(
         flight={

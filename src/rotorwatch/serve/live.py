@@ -56,14 +56,14 @@ def open_source(endpoint: str, notify: Notify, vehicle: Vehicle | None, speed: f
 
 
 class Band:
-    """Loss of each rotor over a flight: rows (time, loss (n), lower (n), upper (n)), or (time,) where nothing was judged."""
+    """Loss of each rotor over a flight: rows (time, loss (n), lower (n), upper (n)), or (time,) where nothing was assessed."""
 
     def __init__(self):
         self.rows: list[tuple] = []
         self._step, self._blind = STEP_S, False
 
     def add(self, time_s: float, losses: tuple[np.ndarray, np.ndarray, np.ndarray] | None) -> tuple | None:
-        """The new point to draw, or None. losses: loss, lower, upper, each (n,); None when nothing is judged."""
+        """The new point to draw, or None. losses: loss, lower, upper, each (n,); None when nothing is assessed."""
         if losses is None:
             if self._blind or not self.rows:
                 return None
@@ -88,7 +88,7 @@ class Shown:
         self.frame: dict[str, Any] | None = None
         self._fresh: list[tuple] = []
         self._due = False
-        self._judged: tuple[np.ndarray, ...] | None = None
+        self._assessed: tuple[np.ndarray, ...] | None = None
         self._session: Any = None
         self._sampled = -np.inf
 
@@ -111,13 +111,13 @@ class Shown:
         another = self.another
         if another:
             self._session, self.band, self._fresh, self._landings = session, Band(), [], Landings()
-            self.frame, self._judged, self._sampled = None, None, -np.inf
+            self.frame, self._assessed, self._sampled = None, None, -np.inf
         if session is None or session.now - self._sampled < STEP_S:
             return another
         self._sampled = session.now
         blind = session.blind()
         losses = None if blind and not blind.startswith("thrust") else session.losses()
-        self._judged = losses or self._judged
+        self._assessed = losses or self._assessed
         row = self.band.add(session.now, losses)
         if row is not None:
             self._fresh.append(row)
@@ -167,7 +167,7 @@ class Shown:
             "esc": line.esc,
             "counts": {name: getattr(health, name) for name in COUNTS},
             "now": round(session.now, 2) if session is not None and math.isfinite(session.now) else None,
-            "losses": None if self._judged is None else [np.round(part, 3).tolist() for part in self._judged],
+            "losses": None if self._assessed is None else [np.round(part, 3).tolist() for part in self._assessed],
             "looks": [list(look) for look in colours.chosen(numbers, bad, open_).values()],
             "named": bad,
             "suspects": open_,

@@ -40,9 +40,9 @@ def serve(
     endpoints: those of `rotorwatch watch`, or recorded logs. speed: of replayed logs, relative to real time. host: to listen on; any but a
     loopback address needs a token. token: 16 letters or more; default: the environment variable ROTORWATCH_TOKEN. port: 0 for any that is
     free. store: of the fleet, a SQLite file or a URL. max_upload [MB], max_seconds [s], max_memory [MB]: limits of each uploaded log; jobs:
-    logs judged at once. allow_delete: whether users of the page may delete flights. vehicle: a Vehicle, or a vehicle file, of all that are
-    watched; record: folder to record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it can
-    be opened; every RotorwatchError is raised before that."""
+    logs assessed at once. allow_delete: whether users of the page may delete flights. vehicle: a Vehicle, or a vehicle file, of all that
+    are watched; record: folder to record links in; listen_only: nothing is sent to vehicles. ready: called with the page's address once it
+    can be opened; every RotorwatchError is raised before that."""
     for name in ("starlette", "uvicorn"):
         optional.library(name, "The page")
     from rotorwatch.serve import security
@@ -54,8 +54,8 @@ def serve(
 
     checked_token = security.checked(host, os.environ.get("ROTORWATCH_TOKEN", "") if token is None else token)
     most = int(checks.positive("max_upload", max_upload) * 2**20)
-    judge_s, memory_mb = checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory)
-    limits = Limits(most, judge_s, memory_mb, max(int(jobs), 1))
+    assess_s, memory_mb = checks.positive("max_seconds", max_seconds), checks.positive("max_memory", max_memory)
+    limits = Limits(most, assess_s, memory_mb, max(int(jobs), 1))
     listening = listen(host, port)
     feed = Feed()
     try:

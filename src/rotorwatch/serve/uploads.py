@@ -1,4 +1,4 @@
-"""Uploaded logs: received within limits of size and time, judged in separate processes, and stored as flights."""
+"""Uploaded logs: received within limits of size and time, assessed in separate processes, and stored as flights."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from rotorwatch.serve.flights import Flights, wrong
 
 IDLE_S, MOST_S = 30.0, 900.0  # without a byte; for the whole of an upload
 DRAIN_S = 10.0  # for reading on a too large upload, so that the client sees the answer and not a broken connection
-RECEIVING, WAITING = 8, 50  # uploads received at once; logs on disk waiting to be judged
+RECEIVING, WAITING = 8, 50  # uploads received at once; logs on disk waiting to be assessed
 PATIENCE_S = 60.0  # longest wait of a further upload for its turn, with its bytes unread
-AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to judge a log, doubled each time
+AGAIN_S, LONGEST_S = 30.0, 3600.0  # pauses between attempts to assess a log, doubled each time
 LOADS = ("rotorwatch.fleet.flight_result", "rotorwatch.diagnose", "rotorwatch.report.html", "bokeh.embed")
 
 
@@ -37,15 +37,15 @@ class Refused(RotorwatchError):
 
 
 class Later(Refused):
-    """A received upload that cannot be judged or stored now. The log stays, and is retried."""
+    """A received upload that cannot be assessed or stored now. The log stays, and is retried."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """most: bytes of an upload; judge_s and memory_mb: for one log; jobs: logs judged at once."""
+    """most: bytes of an upload; assess_s and memory_mb: for one log; jobs: logs assessed at once."""
 
     most: int = 512 << 20
-    judge_s: float = 120.0
+    assess_s: float = 120.0
     memory_mb: int = 4000
     jobs: int = 1
 
@@ -60,7 +60,7 @@ class Log:
     size: int
 
 
-def judge(what: tuple[Log, str]) -> Entry | str:
+def assess(what: tuple[Log, str]) -> Entry | str:
     """A worker's job on (log, path of the page): writes the page, returns the flight for the store, or why the log holds none. Raises
     errors that are not due to the log."""
     from rotorwatch.diagnose import diagnose
@@ -100,13 +100,13 @@ class Uploads:
         self._run, self._lock = _own(self._incoming)
         self._receiving, self._stopping = 0, False
         self._logs: dict[str, Log] = {}  # by digest: received, and neither in the store nor refused
-        self._judging: dict[str, asyncio.Task[tuple[dict[str, Any], bool]]] = {}
+        self._assessing: dict[str, asyncio.Task[tuple[dict[str, Any], bool]]] = {}
         self._freed = asyncio.Condition()
         self._turn = asyncio.Semaphore(limits.jobs)
-        self._workers = Workers(judge, limits.judge_s, limits.memory_mb, LOADS)
+        self._workers = Workers(assess, limits.assess_s, limits.memory_mb, LOADS)
 
     def start(self) -> None:
-        """Prepare a worker, and judge complete logs left by an earlier server."""
+        """Prepare a worker, and assess complete logs left by an earlier server."""
         self._workers.start()
         for log in _left(self._incoming, self._run):
             self._begin(log)
@@ -187,17 +187,17 @@ class Uploads:
         return Log(path, name, digest.hexdigest(), size)
 
     def _begin(self, log: Log, waited_s: float = 0.0) -> asyncio.Task[tuple[dict[str, Any], bool]]:
-        """Judge it, once for all who sent it. waited_s: since the attempt before this one."""
+        """Assess it, once for all who sent it. waited_s: since the attempt before this one."""
         known = self._logs.setdefault(log.digest, log)
         if known.path != log.path:
             shutil.rmtree(log.path.parent, ignore_errors=True)
-        task = self._judging.get(log.digest)
+        task = self._assessing.get(log.digest)
         if task is None:
-            task = self._judging[log.digest] = asyncio.create_task(self._judge(known, waited_s))
-            task.add_done_callback(lambda t: (self._judging.pop(log.digest, None), t.cancelled() or t.exception()))
+            task = self._assessing[log.digest] = asyncio.create_task(self._assess(known, waited_s))
+            task.add_done_callback(lambda t: (self._assessing.pop(log.digest, None), t.cancelled() or t.exception()))
         return task
 
-    async def _judge(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
+    async def _assess(self, log: Log, waited_s: float) -> tuple[dict[str, Any], bool]:
         """(the flight, stored before on_stored is called; whether it is new). Raises Refused for a log without a flight, Later."""
         new = False
         try:
@@ -240,7 +240,7 @@ class Uploads:
             raise Later(code, f"{log.name}: the log is kept and diagnosed later. {text}") from why
 
     def _into_store(self, log: Log) -> dict[str, Any]:
-        """The flight, judged and put into the store."""
+        """The flight, assessed and put into the store."""
         entry = self._answer(log)
         if isinstance(entry, str):
             raise Refused(422, entry)
@@ -289,7 +289,7 @@ def _locked(file: Any) -> bool:
 
 
 def _left(incoming: Path, own: Path) -> list[Log]:
-    """Logs that earlier servers had received and not judged, moved to the folder of this run; the rest of theirs is removed."""
+    """Logs that earlier servers had received and not assessed, moved to the folder of this run; the rest of theirs is removed."""
     logs = []
     for run in incoming.glob("run-*"):
         if run == own:

@@ -6,14 +6,14 @@ conventions: `rotorwatch` itself, `.core`, `.errors`, `.flight`, `.airframes`, `
 diagnosis       diagnose, and its stages prepare -> Case, estimated -> Estimated, `Case.by` and `Case.answer`; Estimation, of an entry
                 point `rotorwatch.estimation`; Conclusion, of an answer; events, what estimates announce; baselines, healthy flights that
                 are given
-flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and JUDGE and the times READY_S, READY_KNOWN_S, HOVER_LEARN_S and
+flight          airborne; observe -> Ticks, with the modes GROUND, LEARN and ASSESS and the times READY_S, READY_KNOWN_S, HOVER_LEARN_S and
                 LAG_S; cut_ticks; allocation: commands, thrusts and geometry; ambiguous_sets; attainable: thrusts and moments that a
                 vehicle can give; aerobatic: vehicles that do not hover; esc_telemetry
 estimator       program: the default estimator over ticks, TickOutput; list_hypotheses, rotor_sets; the states of its plant and the prior
                 of losses, in capitals; ENGINE, its compiled definition, and DEFINITIONS, the modules that hold its constants
 comparison      odds: explanations of a claim, their weights and probabilities; witness: all that are asked, and others in their place
 excitation      excitation_response: the answer to it; null_space, ExcitationNoise, noise_covariance
-export, fleet   export_default; Exported and saved, a C project in a folder; Store, assess, fleet_judge, prognosis
+export, fleet   export_default; Exported and saved, a C project in a folder; Store, assess, flight_result, prognosis
 
 Each name is loaded when it is first asked for.
 """
@@ -39,7 +39,7 @@ _PLACES = {
     "Given": "witnesses.healthy.baselines:Given",
     "HOVER_LEARN_S": "engine.motion.tick_table:HOVER_LEARN_S",
     "Hypotheses": "engine.bindings.hypothesis_list:Hypotheses",
-    "JUDGE": "engine.motion.tick_table:JUDGE",
+    "ASSESS": "engine.motion.tick_table:ASSESS",
     "LAG_S": "engine.motion.tick_table:LAG_S",
     "LEARN": "engine.motion.tick_table:LEARN",
     "LOSS_WIDTH": "engine.estimator.hypotheses:LOSS_WIDTH",
@@ -57,7 +57,7 @@ _PLACES = {
     "TOTAL_SHARE": "engine.estimator.hypotheses:TOTAL_SHARE",
     "TickOutput": "engine.bindings.program:TickOutput",
     "Ticks": "engine.motion.tick_table:Ticks",
-    "aerobatic": "witnesses.aerobatic.judge",
+    "aerobatic": "witnesses.aerobatic.assess",
     "airborne": "engine.motion.air_spans:airborne",
     "allocation": "engine.motion.allocation",
     "ambiguous_sets": "engine.motion.allocation:ambiguous_sets",
@@ -72,7 +72,7 @@ _PLACES = {
     "events": "engine.bindings.event_rows",
     "excitation_response": "witnesses.excitation_response",
     "export_default": "export.export_default",
-    "fleet_judge": "fleet.flight_result",
+    "flight_result": "fleet.flight_result",
     "list_hypotheses": "engine.bindings.hypothesis_list:list_hypotheses",
     "noise_covariance": "witnesses.null_space:covariance",
     "null_space": "witnesses.null_space:null_space",
@@ -100,13 +100,13 @@ DEFINITIONS = {
 __all__ = [
     "AIR",
     "ANNOUNCED_TICKS",
+    "ASSESS",
     "DAMPING",
     "DEFINITIONS",
     "ENGINE",
     "GAIN",
     "GROUND",
     "HOVER_LEARN_S",
-    "JUDGE",
     "LAG_S",
     "LEARN",
     "LOSS_WIDTH",
@@ -147,7 +147,7 @@ __all__ = [
     "events",
     "excitation_response",
     "export_default",
-    "fleet_judge",
+    "flight_result",
     "list_hypotheses",
     "noise_covariance",
     "null_space",
@@ -196,9 +196,9 @@ if TYPE_CHECKING:
     from rotorwatch.engine.motion import allocation as allocation
     from rotorwatch.engine.motion.air_spans import airborne as airborne
     from rotorwatch.engine.motion.allocation import ambiguous_sets as ambiguous_sets
+    from rotorwatch.engine.motion.tick_table import ASSESS as ASSESS
     from rotorwatch.engine.motion.tick_table import GROUND as GROUND
     from rotorwatch.engine.motion.tick_table import HOVER_LEARN_S as HOVER_LEARN_S
-    from rotorwatch.engine.motion.tick_table import JUDGE as JUDGE
     from rotorwatch.engine.motion.tick_table import LAG_S as LAG_S
     from rotorwatch.engine.motion.tick_table import LEARN as LEARN
     from rotorwatch.engine.motion.tick_table import READY_KNOWN_S as READY_KNOWN_S
@@ -209,14 +209,14 @@ if TYPE_CHECKING:
     from rotorwatch.export.projects import Exported as Exported
     from rotorwatch.export.projects import saved as saved
     from rotorwatch.fleet import assess as assess
-    from rotorwatch.fleet import flight_result as fleet_judge
+    from rotorwatch.fleet import flight_result as flight_result
     from rotorwatch.fleet import prognosis as prognosis
     from rotorwatch.fleet.store import Store as Store
     from rotorwatch.witnesses import attainable as attainable
     from rotorwatch.witnesses import excitation_response as excitation_response
     from rotorwatch.witnesses import odds as odds
     from rotorwatch.witnesses import witness as witness
-    from rotorwatch.witnesses.aerobatic import judge as aerobatic
+    from rotorwatch.witnesses.aerobatic import assess as aerobatic
     from rotorwatch.witnesses.esc import telemetry as esc_telemetry
     from rotorwatch.witnesses.healthy import baselines as baselines
     from rotorwatch.witnesses.healthy.baselines import Given as Given

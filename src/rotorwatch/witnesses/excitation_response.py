@@ -39,7 +39,7 @@ from rotorwatch.engine.estimator.model_error import AT_LIMIT
 from rotorwatch.engine.estimator.plant import GAIN, PER_AXIS, SHARE, TAU
 from rotorwatch.engine.events.decisions import CERTAIN, CREDIBLE
 from rotorwatch.engine.events.losses import WITHIN_95
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.stats.nonnegative import least_squares
@@ -78,7 +78,7 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[ExcitationEv
     wrong gains."""
     N = null_space.null_space(B)
     full = table.thrust * table.hover[:, None]
-    usable = (table.mode == JUDGE) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
+    usable = (table.mode == ASSESS) & table.valid[:, 3] & (full < AT_LIMIT).all(axis=1) & (full > 0.0).all(axis=1)
     if not N.shape[1] or usable.sum() * table.dt < 2.0 * ASIDE_S:
         return (), None, ()
     q = _unneeded(table, N, usable)
@@ -99,8 +99,8 @@ def find(table: Ticks, B: np.ndarray, dynamics=None) -> tuple[tuple[ExcitationEv
 
 
 def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
-    """Change of the trim wrench since the flight was first judged, as information on losses that began since then; its uncertainty is that
-    of the wrench after a loss, and of this flight's random disturbances. None where nothing was judged."""
+    """Change of the trim wrench since the flight was first assessed, as information on losses that began since then; its uncertainty is
+    that of the wrench after a loss, and of this flight's random disturbances. None where nothing was assessed."""
     lacking, sd = shift(carry, out, table)
     if lacking is None:
         return None
@@ -110,11 +110,11 @@ def trim(carry, out, table: Ticks, B: np.ndarray) -> ExcitationEvidence | None:
 
 
 def shift(carry, out, table: Ticks) -> tuple[np.ndarray | None, np.ndarray]:
-    """Growth of the commanded trim wrench (4,) since the hop was first judged, and its standard deviation (4,)."""
+    """Growth of the commanded trim wrench (4,) since the hop was first assessed, and its standard deviation (4,)."""
     sd = np.sqrt(TRIM_SD**2 + carry.spread)
     starts = np.flatnonzero(table.restart)
-    judged = (table.mode == JUDGE) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
-    time, biases = table.time[judged], np.asarray(out.biases)[judged]
+    assessed = (table.mode == ASSESS) & (np.arange(len(table.time)) >= (starts[-1] if starts.size else 0))
+    time, biases = table.time[assessed], np.asarray(out.biases)[assessed]
     if time.size == 0 or time[-1] - time[0] < 2.0 * TRIM_S:
         return None, sd
     return biases[time > time[-1] - TRIM_S].mean(axis=0) - biases[time < time[0] + TRIM_S].mean(axis=0), sd
@@ -333,7 +333,7 @@ def _unsure(event: Event, posterior: dict[tuple[int, ...], float], extra: dict) 
 
 
 def _unseen(responses: Sequence[ExcitationEvidence], before: ExcitationEvidence | None, B: np.ndarray) -> tuple[Event | None, str]:
-    """The loss that only the excitations show, from since the flight was judged (the trim `before` has then changed as well) or from
+    """The loss that only the excitations show, from since the flight was assessed (the trim `before` has then changed as well) or from
     before; otherwise None and, where that is certain, the sentence that there is none."""
     n = B.shape[1]
     posterior = shares(responses, {}, n, before)

@@ -1,7 +1,7 @@
 """Losses in the blind time after take-off, found after the flight with the gains and noise that it shows.
 
 The estimator learns a vehicle's trim, gains and noise in the blind time and so takes a rotor that fails there as normal. After the flight
-gains and noise are known. The same estimator then runs again over the first seconds of each hop, judging from the end of the first second
+gains and noise are known. The same estimator then runs again over the first seconds of each hop, assessing from the end of the first second
 in the air on, with the biases open as for any multirotor. Nothing else differs: a loss announced there is a regular event.
 
 Four conditions are physics. Damage by a knock looks like any loss, and the motion after it is the knock's: the second pass ends there, and
@@ -22,7 +22,7 @@ from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.engine.estimator import hypotheses
 from rotorwatch.engine.motion.allocation import Spans
 from rotorwatch.engine.motion.ground_contact import on_ground
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, LEARN, READY_S, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, LEARN, READY_S, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.witnesses.witness import Stage, View, Witness, adding
 
@@ -34,7 +34,7 @@ STANDS = 0.5  # of the hover command of another hop: no vehicle drops so much we
 
 
 def beginnings(ticks: Ticks, ground: np.ndarray | None = None) -> Ticks | None:
-    """The first ticks of each hop once it is clear of the ground, all judged: its blind time and LOOK_S more, up to a knock or an upset;
+    """The first ticks of each hop once it is clear of the ground, all assessed: its blind time and LOOK_S more, up to a knock or an upset;
     None without any. A hop without ticks after its blind time is left out: nothing shows that an event in it lasted. ground (T,): ticks in
     which the ground carries a part; None: by `on_ground`."""
     ground = on_ground(ticks) if ground is None else ground
@@ -47,7 +47,7 @@ def beginnings(ticks: Ticks, ground: np.ndarray | None = None) -> Ticks | None:
         if clear < blind and (not stopped.size or stopped[0] > blind - clear):
             keep[look[: stopped[0]] if stopped.size else look] = True
             restart[look[0]] = True
-    return _cut(ticks, keep, restart, JUDGE)
+    return _cut(ticks, keep, restart, ASSESS)
 
 
 def rest(ticks: Ticks) -> Ticks | None:
@@ -96,7 +96,7 @@ def find(carry, ticks: Ticks, B: np.ndarray, ground: np.ndarray | None = None) -
     losses = []
     for event in event_rows.read(out, again, B):
         hop = max(int(np.searchsorted(starts, event.detected_s, "right")) - 1, 0)
-        later = ticks.time[(ticks.mode == JUDGE) & (ticks.time >= starts[hop])]
+        later = ticks.time[(ticks.mode == ASSESS) & (ticks.time >= starts[hop])]
         least = max(low for low, _ in event.interval)
         if event.end_s is None and event.onset_s < later[0] and (least > LEAST or event.alternatives):
             extra = {**event.extra, "live": False}

@@ -22,7 +22,7 @@ from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.estimator.hypotheses import CLEAR as CLEAR_NATS
 from rotorwatch.engine.estimator.plant import ANSWER_S
 from rotorwatch.engine.events.losses import WITHIN_95
-from rotorwatch.engine.motion.tick_table import JUDGE, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
@@ -199,8 +199,8 @@ def _ended(view: View, event: Event, events: Sequence[Event]) -> Event:
     if event.kind != LOSS or event.end_s is None or event.alternatives or view.learned is None or view.clear is None:
         return event
     rest, logs, slow = [e for e in events if e is not event], [], lagged(view.clear, view.B, ANSWER_S)
-    for told in (event, replace(event, end_s=None)):
-        missing = _missing(slow, [*rest, told])
+    for reported in (event, replace(event, end_s=None)):
+        missing = _missing(slow, [*rest, reported])
         where = span(view.clear, view.B, view.learned, event.end_s, BEFORE_S, event.end_s + OVER_S, missing)
         if (len(where.ticks.time) - where.onset) * view.clear.dt < SHORTEST_S:
             return event
@@ -224,8 +224,8 @@ def _over(view: View, event: Event, events: Sequence[Event]) -> Event:
     recovery = next(h for h, who in enumerate(known.rotors) if known.kinds[h] == "recovery" and who == (event.rotors[0] - 1,))
     for k in changes[np.where(known.fault, out.log_odds[changes], -np.inf).argmax(axis=1) == recovery]:
         end_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
-        over, told = replace(event, end_s=end_s), [*rest, event]
-        if end_s > event.detected_s and _log_odds(view, end_s, _missing(slow, [*rest, over]), _missing(slow, told)) > CLEAR_NATS:
+        over, reported = replace(event, end_s=end_s), [*rest, event]
+        if end_s > event.detected_s and _log_odds(view, end_s, _missing(slow, [*rest, over]), _missing(slow, reported)) > CLEAR_NATS:
             return over
     return event
 
@@ -286,7 +286,7 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
         return [event], []
     found, decision = _weighed(view, event, events, True)
     if found is None:
-        refutable = _total(event) or event.alternatives or not _untold(view, event)
+        refutable = _total(event) or event.alternatives or not _unreported(view, event)
         return ([event], []) if refutable else ([], [_opened(event, event.probability)])
     if decision is Decision.SLOW:
         return [_slow(event.onset_s, event.detected_s, event.rotors[0], found)], []
@@ -296,7 +296,7 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
     return ([], [_opened(event, stated(found.claim))]) if decision is Decision.OPEN else ([_named(event, found)], [])
 
 
-def _untold(view: View, event: Event) -> bool:
+def _unreported(view: View, event: Event) -> bool:
     """True for a loss that the motion after it could not refute, though the log goes on: it begins just before a landing or a tumble, or is
     over as it begins."""
     if event.end_s is not None and event.end_s <= event.onset_s:
@@ -339,9 +339,9 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
     table, out, B = view.clear, view.out, view.B
     if out is None or table is None or any(e.means.accuses for e in events):
         return []
-    judged = (table.mode == JUDGE) & table.valid.all(axis=1) & ~table.upset
+    assessed = (table.mode == ASSESS) & table.valid.all(axis=1) & ~table.upset
     quick = table.thrust - lagged(table, B, SLOWS_S).thrust
-    weight = judged[:, None] / out.innovation_var
+    weight = assessed[:, None] / out.innovation_var
     score = np.cumsum(((weight * out.innovation) @ B * quick)[::-1], axis=0)[::-1]
     information = np.cumsum((weight @ B**2 * quick**2)[::-1], axis=0)[::-1]
     nats = np.where(information > INFORMATION, score * abs(score) / np.maximum(information, 1e-9), 0.0)

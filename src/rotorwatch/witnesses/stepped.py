@@ -20,7 +20,7 @@ STANDS_S, SETTLES_S = 3.0, 2.0  # the first size stood for at least that; after 
 STEP_S = 3.0  # between both sizes; a slower growth is no step
 
 
-def _told(view: View, event: Event) -> Event:
+def _reported(view: View, event: Event) -> Event:
     table, out = view.table, view.out
     early, late = event.extra.get("loss_2s", ()), event.loss
     known = event.kind == LOSS and len(event.rotors) == 1 and len(early) == 1 and not event.alternatives
@@ -44,7 +44,7 @@ def _told(view: View, event: Event) -> Event:
 
 
 def _hear(view: View, events: Events) -> Events:
-    return tuple(_told(view, e) for e in events) if view.hovers else events
+    return tuple(_reported(view, e) for e in events) if view.hovers else events
 
 
 WITNESSES = (Witness("stepped losses", Stage.EVENTS, 90, _hear, needs=("motors",)),)

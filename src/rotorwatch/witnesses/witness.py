@@ -53,7 +53,7 @@ class View:
 
     flight: the samples, of a link the last ten minutes. air: ((start, end), ...) s of each flight, cut at impacts, end infinite while
     airborne. tables: the ticks, in pieces; table: the same in one, None before there are any. out: its outputs, None on a
-    link. B (4, n): effectiveness. over: no samples will follow. hovers: judged by the hover model. default: by the default estimator.
+    link. B (4, n): effectiveness. over: no samples will follow. hovers: assessed by the hover model. default: by the default estimator.
     known: `vehicle` holds what healthy flights have shown, `dynamics` their gains and noise. learned: the estimator's last state. lost:
     times of losses of control [s]. spins: ((start, end), ...) s in which the vehicle spins and flies on. consistent: the log does not
     contradict itself. events, open: see `Stage`. facts: results by name, for the report. assumptions, warnings: sentences for the answer; a

@@ -1,4 +1,4 @@
-"""Campaigns: thousands of simulated flights, drawn from a plan, judged by any estimator or detector, with their statistics.
+"""Campaigns: thousands of simulated flights, drawn from a plan, assessed by any estimator or detector, with their statistics.
 
     from rotorwatch import campaign
     plan = campaign.read("plans/default.toml")

@@ -1,7 +1,7 @@
 """Ablation of the default method: every constant left out, halved and doubled, over a fixed set of flights.
 
 The set: simulated flights of a plan, flights in which several things happen (sequences.py), losses put into real healthy flights, and
-surrogates of those. Every variant judges the same flights as the method as it is, so that what counts is the difference: of n states,
+surrogates of those. Every variant assesses the same flights as the method as it is, so that what counts is the difference: of n states,
 b are right only with the variant and c only without it, and
 
     difference = (b - c) / n,        sd = sqrt(b + c - (b - c)^2 / n) / n          (McNemar's, for shares of the same things)
@@ -27,7 +27,7 @@ import numpy as np
 from rotorwatch import airframes, logs
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.toolkit import DEFINITIONS, ENGINE, JUDGE, READY_S, Estimated, Ticks, airborne, events, prepare, program
+from rotorwatch.toolkit import ASSESS, DEFINITIONS, ENGINE, READY_S, Estimated, Ticks, airborne, events, prepare, program
 from rotorwatch.toolkit import Case as LogCase
 from rotorwatch_lab.campaign import batch, sequences
 from rotorwatch_lab.campaign.constants import TABLE
@@ -127,7 +127,7 @@ def _read_only(key: str) -> bool:
     return key == "decisions.CREDIBLE" or (file == "losses" and name not in TAKEN)
 
 
-def judge(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:
+def assess(table: Ticks, B: np.ndarray, values: Mapping[str, Any]) -> program.TickOutput:
     """Ticks of the method with other constants."""
     with changed(values):
         return program.estimate(table, B)[1]
@@ -182,7 +182,7 @@ def _surrogates(path: str, hours: float, seed: int) -> list[Case]:
     while flown < hours:
         table = false_alarms.surrogate(source, rng)
         cases.append(Case("surrogate", table, B, np.zeros((len(table.time), B.shape[1]))))
-        flown += (table.mode == JUDGE).sum() * table.dt / 3600.0
+        flown += (table.mode == ASSESS).sum() * table.dt / 3600.0
     return cases
 
 
@@ -210,7 +210,7 @@ def outcomes(case: Case, out: program.TickOutput) -> dict[str, Any]:
     rises = np.argwhere(np.diff(theta, axis=0) > FAULT)
     for k, rotor in rises:
         onset = float(table.time[k + 1])
-        if table.mode[k + 1] != JUDGE or (case.lost_s is not None and case.lost_s < onset + 1.0):
+        if table.mode[k + 1] != ASSESS or (case.lost_s is not None and case.lost_s < onset + 1.0):
             continue
         times = [e.detected_s - onset for e in announced if rotor + 1 in e.rotors and onset - 1.0 <= e.detected_s]
         delays.append(min((t for t in times if t <= SOON_S), default=None))
@@ -226,7 +226,7 @@ def outcomes(case: Case, out: program.TickOutput) -> dict[str, Any]:
                     sd = float(events.sd_of(out.theta[k], out.theta_sd[k], case.B)[rotor - 1])
                     errors.append(guess - truth)
                     held.append(abs(guess - truth) <= 1.96 * sd)
-    hours = float((table.mode == JUDGE).sum() * table.dt / 3600.0)
+    hours = float((table.mode == ASSESS).sum() * table.dt / 3600.0)
     return {"kind": case.kind, "states": [o for _, o in read_out], "false": false, "hours": hours, "delays": delays, "errors": errors,
             "held": held}  # fmt: skip
 
@@ -236,11 +236,11 @@ def _part(work: tuple) -> list[dict[str, list[dict]]]:
     make, parameters, selected = work
     cases = make(*parameters)
     rows: list[dict[str, Any]] = [{} for _ in cases]
-    plain = [judge(case.ticks, case.B, {}) for case in cases]
+    plain = [assess(case.ticks, case.B, {}) for case in cases]
     for name, values in selected.items():
         reading = all(_read_only(key) for key in values)  # the ticks stay as they are
         for row, case, same in zip(rows, cases, plain):
-            out = same if reading else judge(case.ticks, case.B, values)
+            out = same if reading else assess(case.ticks, case.B, values)
             with changed(values):
                 row[name] = outcomes(case, out)
     return rows
@@ -272,9 +272,9 @@ def run(
     for kind, source in (("campaign", plan), ("sequences", sequences.Sequences())):
         numbers = tools.batches(flights // 2, len(source.cells), 4)
         parts += [(_flown, (kind, source, part), selected) for part in numbers]
-    rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
+    rows = tools.gathered(_part, parts, jobs, progress, "assessing", scheduler, keep)
     if not rows:
-        raise ConfigError("No flight could be judged: give more flights, or healthy logs of more than half a minute.")
+        raise ConfigError("No flight could be assessed: give more flights, or healthy logs of more than half a minute.")
     kinds = list(dict.fromkeys(next(iter(row.values()))["kind"] for row in rows))
     return {
         "set": {kind: sum(row["as it is"]["kind"] == kind for row in rows) for kind in kinds},

@@ -72,7 +72,7 @@ class Flown:
         return cast(Ticks, self.ready.table)
 
 
-def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
+def assess(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
     """Rows of results (score.py), one per flight and method. All flights must be of one cell; `size`: width that the batch is filled up to,
     always the same, so that a flight's result does not depend on the other flights of its batch."""
     flown = fly(plan, flights, size)
@@ -104,7 +104,7 @@ def rows(plan: Plan, flown: Sequence[Flown], size: int, failed: Callable[[str, E
         hops = [log_plant.hops(table, B) for table in tables]
         for name in published:
             with _caught(name, failed):
-                outputs = methods.judge(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
+                outputs = methods.assess(name, tables, hops, B, size, tuple(d.tuning for d in plan.decisions))
                 for decision, kept in zip(plan.decisions, outputs, strict=True):
                     label = decision.label(name)
                     results += [

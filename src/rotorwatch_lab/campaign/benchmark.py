@@ -3,7 +3,7 @@
     from rotorwatch_lab.campaign import benchmark
     results = benchmark.run("quick", ["ekf", "my_package.my_module:Mine"], "results.json")
 
-Flights, judging, statistics and the folder of finished parts are the campaign's. See docs/benchmark.md.
+Flights, assessing, statistics and the folder of finished parts are the campaign's. See docs/benchmark.md.
 """
 
 from __future__ import annotations
@@ -147,9 +147,9 @@ def run(
     folder = parts_of(out)
     entered = _entered(benchmark, running)
     _same_run(folder, entered)
-    judge = Judge(os.fspath(folder), tuple(running))
-    table = work.run(entered, benchmark.flights, folder, jobs, progress, judge)
-    for label, why in judge.failed().items():
+    assess = Assessor(os.fspath(folder), tuple(running))
+    table = work.run(entered, benchmark.flights, folder, jobs, progress, assess)
+    for label, why in assess.failed().items():
         failed[label] = why
         if notify:
             notify(why)
@@ -224,8 +224,8 @@ def _same_run(folder: Path, entered: Plan) -> None:
 
 
 @dataclass(frozen=True)
-class Judge:
-    """Makes rows of flights (`work.Judge`). A method that raises is left out from then on, and its message is kept in the folder."""
+class Assessor:
+    """Makes rows of flights (`work.Assessor`). A method that raises is left out from then on, and its message is kept in the folder."""
 
     folder: str
     methods: tuple[Method, ...]
@@ -286,7 +286,7 @@ def _on_data(data_set: public_data.DataSet, methods: Sequence[Method], benchmark
         if notify:
             notify(reasons[label])
 
-    rows, left_out = public_data.judge(data_set, entered, note)
+    rows, left_out = public_data.assess(data_set, entered, note)
     columns = {key: summary.column([row[key] for row in rows], kind) for key, (kind, _) in COLUMNS.items()}
     entries = []
     for method in methods:

@@ -1,7 +1,7 @@
 """What `diagnose` says of flights whose truth is known, with every comparison of a claim: the data that odds are fitted to (odds_fit.py)
 and their reliability is read from (reliability.py).
 
-Flights come from a plan that is judged by logs (open_world.py), from logs of healthy flights, with losses put into them or not, and from
+Flights come from a plan that is assessed by logs (open_world.py), from logs of healthy flights, with losses put into them or not, and from
 logs with a table of truth: a CSV file with the columns path (beside the file), rotors (1+2; empty: healthy), kind, and onset_s and end_s of
 each (a number, or numbers with ; between them; no end: it lasts)."""
 
@@ -76,8 +76,8 @@ def collect(
     """The flights 0..flights-1 of the plan with another seed (None: its own); logs of healthy flights, as they are and with each of
     `losses` put into every rotor once; and the logs of tables of truth. jobs, progress, scheduler, keep: as of `tools.gathered`. Raises
     ConfigError, LogError."""
-    if plan is not None and plan.judge != "log":
-        raise ConfigError(f"The plan {plan.name} is not judged by logs; set judge = 'log' (docs/campaigns.md#plans).")
+    if plan is not None and plan.assess != "log":
+        raise ConfigError(f"The plan {plan.name} is not assessed by logs; set assess = 'log' (docs/campaigns.md#plans).")
     parts: list[tuple] = []
     if plan is not None and flights:
         chosen = plan if seed is None else replace(plan, seed=seed)
@@ -161,7 +161,7 @@ def _faults(row: dict[str, str]) -> tuple[Fault, ...]:
 
 def _flown(source: str, flight: Flight, broken: tuple[Fault, ...], kind: str, scenario: Scenario | None = None) -> Flown:
     answer, found, n = _answer(flight)
-    outcome = "" if scenario is None else open_score.judged(scenario, answer)["outcome"]
+    outcome = "" if scenario is None else open_score.assessed(scenario, answer)["outcome"]
     group = open_score.group(scenario) if scenario else "loss" if broken else "healthy"
     return Flown(source, flight.name, group, kind, n, broken, answer.verdict, outcome, tuple(answer.events), found)
 

@@ -99,8 +99,8 @@ def fly(
     return [_outcome(*row) for row in results]
 
 
-class Judge(NamedTuple):
-    """Makes rows of flights (`work.Judge`), one for each driver."""
+class Assessor(NamedTuple):
+    """Makes rows of flights (`work.Assessor`), one for each driver."""
 
     drivers: tuple[str, ...]
     by: str = "estimate"
@@ -149,7 +149,7 @@ def run(
     for driver in drivers:
         _explains(driver, by)
     entered = replace(planned, text=f"{planned.text}\n# closed loop: {', '.join(drivers)}; by {by}\n")
-    table = work.run(entered, flights, out, jobs, progress, Judge(tuple(drivers), by), COLUMNS, scheduler)
+    table = work.run(entered, flights, out, jobs, progress, Assessor(tuple(drivers), by), COLUMNS, scheduler)
     rows = table.to_pylist()
     lost = {d: {r["flight"]: r["lost_s"] for r in rows if r["method"] == d} for d in (TRUTH, NOBODY)}
     result = {
@@ -269,7 +269,7 @@ def _beliefs(driver: str, flights, scenarios, plans, records, entries, craft, by
     else:
         tables = [f.ticks for f in flown]
         hops = [log_plant.hops(table, B) for table in tables]
-        outputs = methods.judge(driver, tables, hops, B, size, ((),))[0]
+        outputs = methods.assess(driver, tables, hops, B, size, ((),))[0]
     beliefs: list[reconfigured.Entry | None] = [None] * len(seen)
     for k, f, out in zip(here, flown, outputs, strict=True):
         certify = _certifier(craft, plans[k], out, entries[k]) if by == CERTIFIED else None

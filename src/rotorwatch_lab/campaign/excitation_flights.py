@@ -82,7 +82,7 @@ def fly(scenarios: Sequence[Scenario], signals: Sequence[excitation.Signal]) -> 
     return [(r, logbook.flight(s, p, r)) for s, p, r in zip(scenarios, plans, flown, strict=True)]
 
 
-def judged(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:
+def assessed(flight: Any, end_s: float = np.inf) -> tuple[Any, Any, Any, np.ndarray, tuple[Event, ...]]:
     """(ticks, last carry, outputs, B, losses) of the default estimator up to end_s, before the excitation response is evaluated."""
     vehicle = airframes.identify(flight)
     air = airborne(flight)
@@ -138,7 +138,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
     before = fly(scenarios, [excitation.none(n)] * len(scenarios))
     answers, designs, signals = [], [], []
     for _, flight in before:
-        table, carry, out, B, losses = judged(flight)
+        table, carry, out, B, losses = assessed(flight)
         unsure = [e for e in losses if e.alternatives]
         sure = [e for e in losses if not e.alternatives]
         answers.append("fault" if sure else "ambiguous" if unsure else "healthy")
@@ -148,7 +148,7 @@ def batch(frame: str, flights: Sequence[int], seed: int, limits: excitation.Limi
                 start = max(e.detected_s for e in unsure) + WAITS_S
                 design = designed(pose(excitation_response.candidates(unsure[0], B), carry, table, B), limits=limits, B=B)
             else:
-                table, carry, out, B, _ = judged(flight, start)
+                table, carry, out, B, _ = assessed(flight, start)
                 design = designed_unprompted(frame, carry, out, table, B, limits)
         designs.append(design)
         signals.append(excitation.none(n) if design is None else design.signal._replace(start=np.array(start)))

@@ -1,6 +1,6 @@
 """Published estimators over all flights of a batch side by side, each with every decision of the plan behind it.
 
-What `published.judge` does flight by flight - the hop's plant, the method, the threshold of published/decide.py - is done here in
+What `published.assess` does flight by flight - the hop's plant, the method, the threshold of published/decide.py - is done here in
 one compiled loop: the estimator is stepped once, and as many thresholds as the plan names look at it. On a processor with a C compiler that
 is native code, which is built once for a method and a number of rotors; on an accelerator a scan over flights side by side. Methods whose
 design needs values (linear matrix inequalities, eigenvalues) cannot be built inside a program; they run flight by flight.
@@ -97,10 +97,10 @@ def _side_by_side(program, step: int, hops: Sequence[LogPlant], B: np.ndarray, s
     return results
 
 
-def judge(
+def assess(
     name: str, tables: Sequence[Ticks], hops: Sequence[Sequence[LogPlant]], B: np.ndarray, size: int, decisions: Decisions
 ) -> list[list[program.TickOutput]]:
-    """Output of `published.judge` for each decision and each flight. hops: of each flight, by `log_plant.hops`."""
+    """Output of `published.assess` for each decision and each flight. hops: of each flight, by `log_plant.hops`."""
     hyp = list_hypotheses(B.shape[1])
     outputs = [[program.blank(len(table.time), hyp) for table in tables] for _ in decisions]
     for turn in range(max(map(len, hops), default=0)):

@@ -217,17 +217,17 @@ def fit_odds(
     """Fit to claims in flights of a plan with `seed` and every second healthy log, and check on flights with the seed after it and the
     other logs. Neither may be the plan's own seed.
 
-    plan: judged by logs (docs/campaigns.md#plans), or its file. healthy: logs. flights, held_out: how many to fit to, to check on. seed:
+    plan: assessed by logs (docs/campaigns.md#plans), or its file. healthy: logs. flights, held_out: how many to fit to, to check on. seed:
     of those to fit to. jobs, scheduler: as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished,
     from which the same call goes on. Raises ConfigError, LogError.
     """
     plan = plan if isinstance(plan, Plan) else read(plan)
     if plan.seed in (seed, seed + 1):
         raise ConfigError(f"The seeds {seed} and {seed + 1} train and check; {plan.seed} is the plan's own: give another --seed.")
-    told, part = progress or (lambda share, text="": None), flights / (flights + held_out)
+    reported, part = progress or (lambda share, text="": None), flights / (flights + held_out)
 
     def some(count: int, own: int, logs: Sequence, share: float, size: float) -> list[Flown]:
-        tell = functools.partial(_portion, told, share, size)
+        tell = functools.partial(_portion, reported, share, size)
         return claims.collect(plan, count, own, logs, jobs=jobs, progress=tell, scheduler=scheduler, keep=keep)
 
     return evaluate(some(flights, seed, healthy[::2], 0.0, part), some(held_out, seed + 1, healthy[1::2], part, 1.0 - part))

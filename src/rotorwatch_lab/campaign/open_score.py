@@ -40,7 +40,7 @@ def losses(scenario: Scenario) -> dict[int, float]:
     return lost
 
 
-def judged(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]:
+def assessed(scenario: Scenario, answer: Diagnosis | Conclusion) -> dict[str, Any]:
     """The columns of `open_world` that depend on the answer: outcome, accused, and, where defined, delay_s, error, holds and ended."""
     truth = {f["rotor"] for f in scenario.faults}
     onset = min((f["onset_s"] for f in scenario.faults), default=0.0)

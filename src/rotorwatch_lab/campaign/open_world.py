@@ -33,8 +33,8 @@ QUARTER = 0.25
 UNANSWERED = ("inconclusive", "error")
 
 
-def judge(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
-    """A row of COLUMNS for each flight (`work.Judge`). All flights must be of one cell."""
+def assess(plan: Plan, flights: Sequence[int], size: int) -> list[dict]:
+    """A row of COLUMNS for each flight (`work.Assessor`). All flights must be of one cell."""
     rows = []
     for k, scenario, numbers, record in batch.simulated(plan, flights, size):
         kind = plan.kind(k)
@@ -59,7 +59,7 @@ def _row(number: int, scenario: Scenario, numbers: Any, record: Any) -> dict[str
     except RotorwatchError as why:
         return row | {"verdict": "error", "outcome": "error", "headline": str(why), "accused": ""}
     about = {"verdict": answer.verdict, "headline": answer.headline, "airborne_s": float(air[1] - air[0]) if air else 0.0}
-    return row | about | open_score.judged(scenario, answer)
+    return row | about | open_score.assessed(scenario, answer)
 
 
 def _answer(flight: Flight) -> tuple[Diagnosis | Conclusion, list[float]]:
@@ -80,7 +80,7 @@ def run(
     scheduler: str | None = None,
 ) -> Any:
     """`work.run` for a plan whose flights are diagnosed from their logs: the table with COLUMNS. Raises ConfigError."""
-    return work.run(plan, flights, folder, jobs, progress, judge, COLUMNS, scheduler)
+    return work.run(plan, flights, folder, jobs, progress, assess, COLUMNS, scheduler)
 
 
 def summarise(rows: Any, name: str = "") -> dict[str, Any]:

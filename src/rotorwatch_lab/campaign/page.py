@@ -57,7 +57,7 @@ def write(summary: dict[str, Any], path: str | os.PathLike) -> None:
     parts = [
         f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>',
         INLINE.render(),
-        f"<h1>{title}</h1><p>{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged; in brackets 95 % intervals. ",
+        f"<h1>{title}</h1><p>{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours assessed; in brackets 95 % intervals. ",
         f"rotorwatch {__version__}.</p>",
         *(
             f'<h2>{TITLES[kind]}</h2><div class="pictures">{"".join(divs[key] for key in keys)}</div>'

@@ -25,7 +25,7 @@
 Instead of `healthy` and [[faults]] a plan may have kinds of flights, of which each flight is one, by share. A kind changes any fields of
 the scenario, and may have a fault:
 
-    judge = "log"                                  # write each flight's log and `diagnose` it (open_world.py); else "ticks" (batch.py)
+    assess = "log"                                  # write each flight's log and `diagnose` it (open_world.py); else "ticks" (batch.py)
 
     [[kinds]]
     name = "a climb with little thrust"
@@ -65,9 +65,9 @@ FIXED = ("duration_s", "rate_hz", "name", "seed")
 MOST_CELLS = 64
 TOP = {
     "name": "", "seed": 0, "healthy": 0.3, "estimators": ("default",), "detectors": (), "decisions": (),
-    "false_alarm_period_h": 10.0, "judge": "ticks", "scenario": {}, "faults": (), "kinds": (),
+    "false_alarm_period_h": 10.0, "assess": "ticks", "scenario": {}, "faults": (), "kinds": (),
 }  # fmt: skip
-JUDGES = ("ticks", "log")
+ASSESSES = ("ticks", "log")
 FAULT = {"share": 1.0, "together": 1}
 KIND = ("name", "share", "scenario", "fault")
 SET_BY_CELL = (("autopilot",), ("airframe", "frame"), ("logging", "profile"))
@@ -107,7 +107,7 @@ class Kind(NamedTuple):
 class Plan:
     """A checked plan. text: the file's, by which a folder of results knows its plan. cells: flight k belongs to cell k % len(cells).
 
-    judge: one of JUDGES. kinds: of flights; empty where `healthy` and `faults` say what happens.
+    assess: one of ASSESSES. kinds: of flights; empty where `healthy` and `faults` say what happens.
 
     scenario and faults: tables whose values are numbers and texts, or draws. false_alarm_period_h: the mean time between false
     alarms that the bound on delays is worked out for.
@@ -125,7 +125,7 @@ class Plan:
     cells: tuple[Cell, ...]
     rotors: tuple[int, ...]
     text: str
-    judge: str = "ticks"
+    assess: str = "ticks"
     kinds: tuple[Kind, ...] = ()
 
     @property
@@ -217,16 +217,16 @@ def from_table(table: Mapping[str, Any], text: str = "") -> Plan:
         raise ConfigError("kinds stand instead of healthy and [[faults]]; leave those out.")
     if not faults and healthy < 1.0 and "healthy" in table:
         raise ConfigError("healthy is below 1, but there are no [[faults]] for the other flights.")
-    if fields["judge"] not in JUDGES:
-        raise ConfigError(f"judge must be one of {', '.join(JUDGES)}, not {brief(fields['judge'])}{meant(fields['judge'], JUDGES)}.")
+    if fields["assess"] not in ASSESSES:
+        raise ConfigError(f"assess must be one of {', '.join(ASSESSES)}, not {brief(fields['assess'])}{meant(fields['assess'], ASSESSES)}.")
     rotors = _try_out(template, cells, faults)
     kinds = _kinds(fields["kinds"], template, cells)
-    if fields["judge"] == "log" and (not kinds or estimators != ("default",) or rules):
-        raise ConfigError('judge = "log" needs [[kinds]], and neither other estimators than "default" nor detectors.')
+    if fields["assess"] == "log" and (not kinds or estimators != ("default",) or rules):
+        raise ConfigError('assess = "log" needs [[kinds]], and neither other estimators than "default" nor detectors.')
     name, text = fields["name"], text or repr(table)
     return Plan(
         *(name, seed, healthy, estimators, rules, decisions, period, template, faults, cells, rotors, text),
-        judge=fields["judge"],
+        assess=fields["assess"],
         kinds=kinds,
     )
 

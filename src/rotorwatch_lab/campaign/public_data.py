@@ -41,8 +41,8 @@ from rotorwatch_lab.simulation.scenario import Scenario, brief, number, only_fie
 
 SHIPPED, OWN = Path(__file__).parent / "datasets", "rotorwatch-index.toml"
 FIELDS = ("path", "healthy", "rotors", "onset_s", "loss")
-NOT_JUDGED = {
-    "alfa": "ALFA's flights are of a fixed-wing aircraft, whose control surfaces fail; rotorwatch judges multirotors.",
+NOT_ASSESSED = {
+    "alfa": "ALFA's flights are of a fixed-wing aircraft, whose control surfaces fail; rotorwatch assesses multirotors.",
     "uav-sead": "UAV-SEAD's labels name kinds of anomalies and no rotor: write an index of the flights whose rotor you know.",
 }
 
@@ -85,7 +85,7 @@ def read(name: str, path: str | os.PathLike) -> DataSet:
         raise ConfigError(f"--data {name}={path}: there is no such folder.")
     own_index = folder / OWN
     if not own_index.is_file() and key not in shipped():
-        known = NOT_JUDGED.get(key, f"rotorwatch knows {', '.join(shipped())}; for others put an index, {OWN}, into the folder.")
+        known = NOT_ASSESSED.get(key, f"rotorwatch knows {', '.join(shipped())}; for others put an index, {OWN}, into the folder.")
         raise ConfigError(f"--data {name}={path}: {known} docs/benchmark.md says how.")
     index = own_index if own_index.is_file() else shipped()[key]
     table, text = files.toml(index, "index")
@@ -101,7 +101,7 @@ def read(name: str, path: str | os.PathLike) -> DataSet:
     return DataSet(name, folder, text, tuple(matched))
 
 
-def judge(data: DataSet, plan: Plan, failed: Callable[[str, Exception], None] | None = None) -> tuple[list[dict], list[list[str]]]:
+def assess(data: DataSet, plan: Plan, failed: Callable[[str, Exception], None] | None = None) -> tuple[list[dict], list[list[str]]]:
     """(rows as of simulated flights, [[log, why]] of those left out). Flights of one geometry and length of a tick go side by side."""
     groups: dict[tuple, list[Flown]] = {}
     left_out = []
@@ -130,7 +130,7 @@ def _flown(number: int, path: Path, entry: Entry) -> Flown:
     if entry.rotors and max(entry.rotors) > n:
         raise ConfigError(f"the index names rotor {max(entry.rotors)} of a vehicle with {n}.")
     if table is None:
-        raise ConfigError("it holds no flight that can be judged.")
+        raise ConfigError("it holds no flight that can be assessed.")
     theta = np.zeros((len(table.time), n))
     after = table.command_time + LAG_S >= entry.onset_s
     for rotor in entry.rotors:

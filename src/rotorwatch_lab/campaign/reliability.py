@@ -23,7 +23,7 @@ from rotorwatch_lab.experiments import tools
 from rotorwatch_lab.experiments.counting import EARLY_S
 
 EDGES = (0.0, 0.01, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 0.999, 1.0)
-LEAST = 50  # answers of a bin that is judged
+LEAST = 50  # answers of a bin that is assessed
 WITHIN = 0.03  # aim
 STATEMENTS = {"event": "rotors of an event", "rotor": "a rotor at fault, in each comparison"}
 
@@ -38,7 +38,7 @@ class Bin(NamedTuple):
     right: dict[str, float]
 
     @property
-    def judged(self) -> bool:
+    def assessed(self) -> bool:
         """True where there are enough answers."""
         return self.right["n"] >= LEAST
 
@@ -61,10 +61,10 @@ def reliability(
 ) -> list[Bin]:
     """Diagnose flights of known truth, and compare stated probabilities with how often they are right.
 
-    plan: judged by logs, flown with its own seed, or its file; flights: how many of it. healthy: logs. losses: each is put into every rotor
-    of them once; they are judged as they are, too. truths: tables of truth (docs/tuning.md#odds-of-explanations). jobs, scheduler: as for
-    `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from which the same call goes on. Raises
-    ConfigError, LogError.
+    plan: assessed by logs, flown with its own seed, or its file; flights: how many of it. healthy: logs. losses: each is put into every
+    rotor of them once; they are assessed as they are, too. truths: tables of truth (docs/tuning.md#odds-of-explanations). jobs, scheduler:
+    as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from which the same call goes on.
+    Raises ConfigError, LogError.
     """
     plan = plan if plan is None or isinstance(plan, Plan) else read(plan)
     return bins(claims.collect(plan, flights, None, healthy, losses, truths, jobs, progress, scheduler, keep))
@@ -109,21 +109,21 @@ def _rotors(flown: Sequence[Flown]) -> Iterator[tuple[float, bool]]:
 
 def to_dict(found: Sequence[Bin]) -> list[dict[str, Any]]:
     """The bins as JSON has them."""
-    return [{**b._asdict(), "off": b.off, "judged": b.judged} for b in found]
+    return [{**b._asdict(), "off": b.off, "assessed": b.assessed} for b in found]
 
 
 def markdown(found: Sequence[Bin]) -> str:
     """A table of the bins with enough answers, and how many are within the aim."""
-    judged = [b for b in found if b.judged]
+    assessed = [b for b in found if b.assessed]
     rows = [
         [STATEMENTS[b.statement], f"{b.low:g}–{b.high:g}", b.right["n"], f"{100 * b.stated:.1f}",
          tools.interval(b.right, None).replace(" %", "").replace(" to ", "–"), f"{100 * b.off:+.1f}"]
-        for b in judged
+        for b in assessed
     ]  # fmt: skip
-    within = sum(abs(b.off) <= WITHIN for b in judged)
+    within = sum(abs(b.off) <= WITHIN for b in assessed)
     heads = ("statement", "stated", "answers", "mean, %", "right, %", "difference")
     return (
-        tools.table(heads, rows) + f"\n\n{within} of {len(judged)} bins with {LEAST} answers and more within {100 * WITHIN:.0f} points.\n"
+        tools.table(heads, rows) + f"\n\n{within} of {len(assessed)} bins with {LEAST} answers and more within {100 * WITHIN:.0f} points.\n"
     )
 
 
@@ -131,7 +131,7 @@ def draw(found: Sequence[Bin], path: str | PathLike) -> None:
     """Write the figure: share that is right over the stated probability, with 95 % intervals. Raises ConfigError without matplotlib."""
     figure = optional.library("matplotlib.figure", "A figure").Figure(figsize=(6.0, 3.2), layout="constrained")
     for axes, (statement, title) in zip(figure.subplots(1, 2, sharey=True), STATEMENTS.items()):
-        some = [b for b in found if b.statement == statement and b.judged]
+        some = [b for b in found if b.statement == statement and b.assessed]
         x, y = [100 * b.stated for b in some], [100 * b.right["value"] for b in some]
         low, high = ([100 * abs(b.right[key] - b.right["value"]) for b in some] for key in ("low", "high"))
         axes.plot([0, 100], [0, 100], color="0.7", linewidth=1.0)

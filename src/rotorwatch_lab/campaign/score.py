@@ -14,7 +14,7 @@ import numpy as np
 
 from rotorwatch.base import files
 from rotorwatch.toolkit import ANNOUNCED_TICKS as TICKS
-from rotorwatch.toolkit import JUDGE, Conclusion, events
+from rotorwatch.toolkit import ASSESS, Conclusion, events
 from rotorwatch_lab.campaign.plan import Plan
 from rotorwatch_lab.experiments import counting, limits
 from rotorwatch_lab.experiments.counting import EARLY_S, Alarm
@@ -87,7 +87,7 @@ def rule(name: str, f, findings: Sequence[Mapping[str, Any]], bound, plan: Plan)
 def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, Any]:
     """All columns, empty (None) where they do not apply."""
     s, ticks = f.scenario, f.ticks
-    judging, dt = ticks.mode == JUDGE, ticks.dt
+    assessing, dt = ticks.mode == ASSESS, ticks.dt
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
     onset = min((fault["onset_s"] for fault in s.faults), default=np.inf)
     before = ticks.time < onset
@@ -96,7 +96,7 @@ def _row(name: str, f, raised: Sequence[Alarm], bound, plan: Plan) -> dict[str, 
         "rotors": f.theta.shape[1], "trajectory": s.trajectory["kind"], "wind_m_s": s.wind["speed_m_s"],
         "induced_m_s": prepare.induced_velocity(s) if isinstance(s, Scenario) else None,
         "fault": s.faults[0]["kind"] if s.faults else "", "clear": clear_fault(s) is not None, "crashed_s": f.lost_s,
-        "judged_s": float(judging.sum() * dt), "healthy_s": float((judging & before).sum() * dt),
+        "assessed_s": float(assessing.sum() * dt), "healthy_s": float((assessing & before).sum() * dt),
     }  # fmt: skip
     broken = tuple(sorted(fault["rotor"] for fault in s.faults))
     counted = counting.count(raised, broken, onset)
@@ -121,14 +121,14 @@ def _compared(f) -> int:
     """The tick at which losses are compared: EVALUATE_S after the fault is fully developed, or the last evaluated one before."""
     fault = f.scenario.faults[0]
     when = fault["onset_s"] + fault["ramp_s"] + EVALUATE_S
-    usable = np.flatnonzero((f.ticks.mode == JUDGE) & ~f.ticks.upset & (f.ticks.time <= when))
+    usable = np.flatnonzero((f.ticks.mode == ASSESS) & ~f.ticks.upset & (f.ticks.time <= when))
     return int(usable[-1]) if usable.size else 0
 
 
 def _peaks(f, statistic: np.ndarray, onset: float | None, certain: Sequence[float] = ()) -> dict[str, float]:
     """Largest statistic that lasted as long as an announcement needs, in healthy time and in windows after the onset. certain (K,): when
     it is CERTAIN."""
-    low = np.where(f.ticks.mode == JUDGE, statistic, NOTHING)
+    low = np.where(f.ticks.mode == ASSESS, statistic, NOTHING)
     lasting = low.copy()
     for k in range(1, TICKS):
         lasting[k:] = np.minimum(lasting[k:], low[:-k])

@@ -24,7 +24,7 @@ import numpy as np
 from rotorwatch.base import files
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.toolkit import JUDGE, Ticks
+from rotorwatch.toolkit import ASSESS, Ticks
 from rotorwatch_lab.campaign import batch
 from rotorwatch_lab.campaign.plan import Cell, drawn
 from rotorwatch_lab.campaign.summary import INDUCED_EDGES, by_speed
@@ -136,13 +136,13 @@ class Truth(Protocol):
 
 def states(f: Truth, events: Sequence[Event]) -> list[State]:
     """All states of a flight, up to its crash."""
-    time, judging = f.ticks.time, f.ticks.mode == JUDGE
+    time, assessing = f.ticks.time, f.ticks.mode == ASSESS
     weak = f.theta > WEAK
     steps = (weak[1:] != weak[:-1]) | (np.abs(np.diff(f.theta, axis=0)) > 0.02)
     edges = [0, *(np.flatnonzero(steps.any(axis=1)) + 1), len(time)]
     answers = []
     for a, b in itertools.pairwise(edges):
-        here = np.flatnonzero(judging[a:b] & ~f.ticks.upset[a:b]) + a
+        here = np.flatnonzero(assessing[a:b] & ~f.ticks.upset[a:b]) + a
         if f.lost_s is not None:
             here = here[time[here] < f.lost_s - 1.0]
         if len(here) * f.ticks.dt < SETTLE_S:
@@ -162,7 +162,7 @@ def run(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """Fly, judge and score: {"flights", "seed", "table": rows with all states, by kind and by frame, "states": all of them}.
+    """Fly, assess and score: {"flights", "seed", "table": rows with all states, by kind and by frame, "states": all of them}.
 
     jobs, scheduler: as for `many.run`. progress: called as progress(share, text). keep: a folder for what is finished, from
     which the same call goes on. Raises ConfigError.
@@ -178,7 +178,7 @@ def run(
 def _part(work: tuple[int, range]) -> list[dict[str, Any]]:
     seed, numbers = work
     plan = Sequences(seed)
-    return judged(plan, batch.fly(plan, numbers, WIDTH))
+    return assessed(plan, batch.fly(plan, numbers, WIDTH))
 
 
 def describe(result: Mapping[str, Any]) -> str:
@@ -191,7 +191,7 @@ def describe(result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def judged(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]]:
+def assessed(plan: Sequences, flown: Sequence[batch.Flown]) -> list[dict[str, Any]]:
     """A row for every state of these flights, all of one cell."""
     if not flown:
         return []

@@ -161,27 +161,27 @@ def measures(d: dict[str, np.ndarray]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _told(d: dict[str, np.ndarray]) -> np.ndarray:
+def _reported(d: dict[str, np.ndarray]) -> np.ndarray:
     """Flights of a method with an answer to the whole flight."""
     return np.array([answer is not None for answer in d["answer"]], bool)
 
 
 def _answered(d: dict[str, np.ndarray]) -> dict[str, float] | None:
     """Share of the clear faults whose rotor the answer to the whole flight names, alone or among others."""
-    has = d["clear"].astype(bool) & _told(d)
+    has = d["clear"].astype(bool) & _reported(d)
     return share(np.array([b in a.split("+") for a, b in zip(d["accused"][has], d["broken"][has])], bool))
 
 
 def _misled(d: dict[str, np.ndarray]) -> np.ndarray:
     """Flights with a fault whose answer names other rotors only."""
-    has = (d["fault"] != "") & _told(d)
+    has = (d["fault"] != "") & _reported(d)
     pairs = zip(d["accused"], d["broken"], has, strict=True)
     return np.array([bool(h and a) and not set(a.split("+")) & set(b.split("+")) for a, b, h in pairs], bool)
 
 
 def _accused(d: dict[str, np.ndarray]) -> dict[str, float] | None:
     """Answers that name rotors of vehicles without a fault, per healthy hour of such flights."""
-    sound = (d["fault"] == "") & _told(d)
+    sound = (d["fault"] == "") & _reported(d)
     return rate(int((d["accused"][sound] != "").sum()), float(d["healthy_s"][sound].sum() / 3600.0))
 
 
@@ -343,7 +343,7 @@ def lines_of(results: dict[str, Any]) -> list[tuple[str, dict]]:
 
 def markdown(summary: dict[str, Any]) -> str:
     """The summary as Markdown tables."""
-    parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours judged."]
+    parts = [f"{summary['flights']} flights, {summary['healthy_h']:.1f} healthy hours assessed."]
     for method, results in summary["methods"].items():
         rows = ([label, m["flights"], *(cell(key, m[key]) for key in MEASURES)] for label, m in lines_of(results))
         parts.append(f"\n### {method}\n\n{table(['', 'flights', *MEASURES.values()], rows)}")

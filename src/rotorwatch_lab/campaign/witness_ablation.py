@@ -1,4 +1,4 @@
-"""Ablation of witnesses: flights of a plan judged by their logs without each witness that was heard, and counted as `open_world` does."""
+"""Ablation of witnesses: flights of a plan assessed by their logs without each witness that was heard, and counted as `open_world` does."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def run(
 ) -> dict[str, Any]:
     """{"flights", "names": witness -> {count: number, "heard": flights in which it was, "changed": flights with another outcome}}; jobs,
     progress, scheduler, keep: as of `tools.gathered`. Raises ConfigError."""
-    if plan.judge != "log":
-        raise ConfigError(f"The plan {plan.name} is not judged by logs; set judge = 'log' (docs/campaigns.md#plans).")
+    if plan.assess != "log":
+        raise ConfigError(f"The plan {plan.name} is not assessed by logs; set assess = 'log' (docs/campaigns.md#plans).")
     parts = [(plan, numbers) for numbers in tools.batches(flights, len(plan.cells), batch.CPU_WIDTH)]
-    rows = tools.gathered(_part, parts, jobs, progress, "judging", scheduler, keep)
+    rows = tools.gathered(_part, parts, jobs, progress, "assessing", scheduler, keep)
     names = [ALL, *(w.name for w in witness.registered())]
     return {"flights": len(rows), "names": {name: _counted(rows, name) for name in dict.fromkeys(names)}}
 
@@ -61,7 +61,7 @@ def _part(part: tuple[Plan, Sequence[int]]) -> Iterable[tuple[str, dict[str, str
             continue
         if ready.table is None:
             continue
-        outcome: Callable[[], str] = lambda: open_score.judged(scenario, ready.answer().end)["outcome"]  # noqa: E731, B023
+        outcome: Callable[[], str] = lambda: open_score.assessed(scenario, ready.answer().end)["outcome"]  # noqa: E731, B023
         with listening() as heard:
             said = {ALL: outcome()}
         for name in heard:
@@ -104,9 +104,9 @@ def _state(view: witness.View, events: witness.Events) -> tuple:
 def markdown(result: Mapping[str, Any]) -> str:
     """A table of the witnesses that were heard, and a sentence with the others."""
     base, flights = result["names"][ALL], result["flights"]
-    told = {name: n for name, n in result["names"].items() if name != ALL and n["heard"]}
+    reported = {name: n for name, n in result["names"].items() if name != ALL and n["heard"]}
     rows = [[ALL, flights, *(base[count] for count in COUNTS), 0]]
-    rows += [[f"without `{name}`", n["heard"], *(f"{n[c] - base[c]:+d}" for c in COUNTS), n["changed"]] for name, n in told.items()]
-    quiet = [name for name in result["names"] if name not in told and name != ALL]
+    rows += [[f"without `{name}`", n["heard"], *(f"{n[c] - base[c]:+d}" for c in COUNTS), n["changed"]] for name, n in reported.items()]
+    quiet = [name for name in result["names"] if name not in reported and name != ALL]
     text = tools.table(("witness", "flights in which it is heard", *COUNTS, "flights that end otherwise"), rows)
     return text + (f"\n\nNever heard here: {', '.join(f'`{name}`' for name in quiet)}." if quiet else "")

@@ -17,7 +17,7 @@ from rotorwatch_lab.campaign.score import COLUMNS
 from rotorwatch_lab.campaign.store import Folder, Work
 
 Progress = Callable[[int, int, float], None]
-Judge = Callable[[Plan, Sequence[int], int], list[dict]]
+Assessor = Callable[[Plan, Sequence[int], int], list[dict]]
 
 
 def run(
@@ -26,14 +26,14 @@ def run(
     folder: str | os.PathLike,
     jobs: int | None = None,
     progress: Progress | None = None,
-    judge: Judge = batch.judge,
+    assess: Assessor = batch.assess,
     columns: Mapping[str, tuple[str, str]] = COLUMNS,
     scheduler: str | None = None,
 ) -> Any:
-    """Fly and judge flights 0..flights-1 of the plan, except those that the folder already holds; returns the table of all.
+    """Fly and assess flights 0..flights-1 of the plan, except those that the folder already holds; returns the table of all.
 
     jobs: processes, default one per processor; never more than one where JAX has an accelerator. progress(done, flights, flights a second):
-    at the start and after every part. judge: what makes rows of flights (batch.judge), columns: of its rows. scheduler: address of
+    at the start and after every part. assess: what makes rows of flights (batch.assess), columns: of its rows. scheduler: address of
     a Dask scheduler whose workers do it instead (docs/cluster.md). Raises ConfigError for a folder of another plan, or one that is in use,
     and WorkerError for a part of which processes die.
     """
@@ -50,7 +50,7 @@ def run(
         done, now, began = flights - sum(w.last - w.first for w in todo), 0, time.monotonic()
         if progress:
             progress(done, flights, 0.0)
-        do = _Parts(plan, width, judge, methods.engine())
+        do = _Parts(plan, width, assess, methods.engine())
         for part in many.run(do, todo, None if scheduler else _processes(jobs), scheduler):
             place.write(todo[part.index], part.result())
             now += todo[part.index].last - todo[part.index].first
@@ -69,8 +69,8 @@ def _processes(jobs: int | None = None) -> int:
 class _Parts:
     """Makes the rows of a part of a campaign, wherever that is done. Its engine must be that of the campaign: last digits differ."""
 
-    def __init__(self, plan: Plan, width: int, judge: Judge, engine: str):
-        self.plan, self.width, self.judge, self.engine = plan, width, judge, engine
+    def __init__(self, plan: Plan, width: int, assess: Assessor, engine: str):
+        self.plan, self.width, self.assess, self.engine = plan, width, assess, engine
 
     def __call__(self, work: Work) -> list[dict]:
         if methods.engine() != self.engine:
@@ -78,4 +78,4 @@ class _Parts:
                 f"A worker of the cluster would step estimators as {methods.engine()} code, this campaign was begun with {self.engine}: "
                 "let all computers have a C compiler, or none."
             )
-        return self.judge(self.plan, work.flights(len(self.plan.cells), self.width), self.width)
+        return self.assess(self.plan, work.flights(len(self.plan.cells), self.width), self.width)

@@ -29,7 +29,7 @@ def campaign(plan, flights, jobs, scheduler, out, as_json, quiet) -> None:
 
     flight_plan = campaigns.read(plan)
     files.folder(out, "--out")
-    by_log = flight_plan.judge == "log"
+    by_log = flight_plan.assess == "log"
     way = open_world if by_log else campaigns
     if not quiet:
         methods = "by their logs" if by_log else f"{len(flight_plan.methods)} methods"
@@ -71,7 +71,7 @@ def sequences(flights, seed, jobs, scheduler, keep, as_json, quiet) -> None:
 @click.option("--hours", type=click.FloatRange(0.01, 1000.0), default=1.0, show_default=True, help="Of surrogates of LOGS.")
 @click.option("--only", default="", metavar="NAMES", help="Constants by prefix, such as model_error.,noise.CLIP.")
 @click.option("--variants", default="off,half,double", show_default=True, help="How the constants are changed.")
-@click.option("--witnesses", is_flag=True, help="Leave out every witness instead, in flights of PLAN judged by their logs.")
+@click.option("--witnesses", is_flag=True, help="Leave out every witness instead, in flights of PLAN assessed by their logs.")
 @spread
 @resumable
 @click.option("--json", "as_json", is_flag=True, help="Print JSON: measures and differences of every variant.")

@@ -19,7 +19,7 @@ JSON = flag("--json as_json", "Print JSON (docs/fleet.md).")
 @JSON
 @common
 def simulate(out, aircraft, flights, seed, logs, url, as_json, quiet) -> None:
-    """Fly and judge a fleet in which rotors wear, are damaged and exchanged, and compare what its store says with the truth.
+    """Fly and assess a fleet in which rotors wear, are damaged and exchanged, and compare what its store says with the truth.
 
     Needs JAX, which the extra `research` brings (docs/fleet.md). About 0.2 s a flight on one processor; broken off, it
     goes on when called again.

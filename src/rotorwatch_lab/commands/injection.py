@@ -78,7 +78,7 @@ def _by_loss(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 @JSON
 @common
 def false_alarms(logs, hours, seed, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Judge surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
+    """Assess surrogate flights with the noise of healthy LOGs, and count the false alarms per flight hour."""
     from rotorwatch_lab.experiments.studies.false_alarms import describe
     from rotorwatch_lab.experiments.studies.false_alarms import false_alarms as run
 

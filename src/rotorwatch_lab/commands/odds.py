@@ -23,7 +23,7 @@ SEED = click.IntRange(0, 2**31 - 2)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @common
 def fit_odds(plan, logs, flights, held_out, seed, ablate, jobs, scheduler, keep, as_json, quiet) -> None:
-    """Fit the log weights and the temper of the comparison after the flight to claims in flights of PLAN (judged by logs, such as
+    """Fit the log weights and the temper of the comparison after the flight to claims in flights of PLAN (assessed by logs, such as
     plans/open.toml) and in healthy LOGS, and print constants in use and fitted, with their log loss in flights that were held out."""
     from rotorwatch_lab.campaign import odds_ablation, odds_fit
 

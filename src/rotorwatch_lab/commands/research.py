@@ -152,8 +152,8 @@ def _results(modules, kept, due, together, seeds, literal, figures, output, as_j
             else:
                 if together and report:
                     report(done / len(modules), f"waiting for {module.PAPER}")
-                told = report or (functools.partial(lines, module.PAPER) if lines else None)
-                result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, told)
+                reported = report or (functools.partial(lines, module.PAPER) if lines else None)
+                result = next(together) if together else reproduction.reproduce(module.PAPER, seeds, literal, reported)
                 if output:
                     reproduction.keep(output, result)
         results.append(result)

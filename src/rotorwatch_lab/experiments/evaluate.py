@@ -5,7 +5,7 @@
     rw.evaluate.write(result, "page.html")      # or .csv, .json
 
 Each flight is diagnosed as by `diagnose`, with its own vehicle file and healthy flights; `counting` defines the outcomes. A fault in a
-flight with several is judged by the events from its onset to the next one's, without the rotors that were broken before and still are.
+flight with several is assessed by the events from its onset to the next one's, without the rotors that were broken before and still are.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def evaluate(
     report = progress or (lambda share, text="": None)
     rows: list[dict[str, Any]] = []
     findings: list[tuple[Labelled, list[dict[str, Any]], float]] = []
-    done = many.in_order(_judged, listed, jobs, scheduler, lambda n: report(n / len(listed), "diagnosing"), keep)
+    done = many.in_order(_assessed, listed, jobs, scheduler, lambda n: report(n / len(listed), "diagnosing"), keep)
     for flight, answer in zip(listed, done, strict=True):
         if answer.error is not None and not isinstance(answer.error, RotorwatchError):
             raise answer.error
@@ -105,7 +105,7 @@ def evaluate(
     return {"flights": rows, "others": _others(findings), "summary": summarise(own), **({"compared": compared} if detector else {})}
 
 
-def _judged(flight: Labelled) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def _assessed(flight: Labelled) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """(rows, findings of the autopilots' checks) of a flight."""
     try:
         if not any(map(os.path.exists, (flight.path, flight.path.rpartition("#")[0]))):  # FILE#2: a session of it

@@ -24,7 +24,7 @@ from rotorwatch import airframes, logs
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.toolkit import JUDGE, READY_KNOWN_S, READY_S, airborne, allocation, prepare
+from rotorwatch.toolkit import ASSESS, READY_KNOWN_S, READY_S, airborne, allocation, prepare
 from rotorwatch_lab.experiments import counting, tools
 
 RESPONSE_S = 0.7  # how fast rate and attitude controllers of real quads make up for a loss
@@ -164,14 +164,14 @@ def campaign(
 ) -> dict[str, Any]:
     """Inject every loss into every rotor of every healthy flight, `repeats` times each, and count the detections.
 
-    Onsets are drawn at random, from 3 s after judging begins to 12 s before the hop ends. The answer:
+    Onsets are drawn at random, from 3 s after assessing begins to 12 s before the hop ends. The answer:
 
     table      a row for each loss: injections; detected: share found, of those right, as `counting` says, and
                ambiguous_with_truth: several sets, this rotor among them;
                median_delay_s, p90_delay_s from onset to announcement; of the right ones loss_rms and loss_bias 2 s
                after the announcement, coverage: share whose 95 % interval at the end holds the loss; false_alarms:
                alarms before the onset, or after it without this rotor; at_limit: injections that reach a rotor's limit
-    healthy    flights, hours judged and false_alarms of the flights as they are
+    healthy    flights, hours assessed and false_alarms of the flights as they are
     flights    number of flights long enough for an injection
     trials     one entry for each injection
 
@@ -199,7 +199,11 @@ def campaign(
     trials = tools.gathered(_trials, parts, jobs, lambda s, text: report(0.05 + 0.95 * s, text), "injecting", **shared)
     if not trials:
         raise ConfigError("No flight is long enough: losses need 23 s in the air without a baseline.")
-    healthy = {"flights": len(surveys), "hours": sum(s.judged_s for s in surveys) / 3600.0, "false_alarms": sum(s.alarms for s in surveys)}
+    healthy = {
+        "flights": len(surveys),
+        "hours": sum(s.assessed_s for s in surveys) / 3600.0,
+        "false_alarms": sum(s.alarms for s in surveys),
+    }
     table = [_row(loss, [t for t in trials if t["loss"] == loss]) for loss in losses]
     return {
         "table": table, "healthy": healthy, "flights": sum(bool(s.room) for s in surveys), "seed": seed, "trials": trials,
@@ -207,19 +211,19 @@ def campaign(
 
 
 class _Survey(NamedTuple):
-    """A healthy flight: where onsets may lie in it, how long it was judged, and how many false alarms it has."""
+    """A healthy flight: where onsets may lie in it, how long it was assessed, and how many false alarms it has."""
 
     rotors: int
     room: list[tuple[float, float]]
-    judged_s: float
+    assessed_s: float
     alarms: int
 
 
 def _survey(source: Flight | str) -> list[_Survey]:
     flight, vehicle, air = _flown(source)
-    alarms, judged_s = _judge(flight, vehicle)
+    alarms, assessed_s = _assess(flight, vehicle)
     room = [(start + ready_s(vehicle) + AFTER_READY_S, end - BEFORE_END_S) for start, end in air]
-    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], judged_s, len(alarms))]
+    return [_Survey(len(vehicle.rotors), [(a, b) for a, b in room if b > a], assessed_s, len(alarms))]
 
 
 def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[dict]:
@@ -228,7 +232,7 @@ def _trials(part: tuple[Flight | str, list[tuple[int, float, float]]]) -> list[d
     trials = []
     for rotor, loss, onset in part[1]:
         faulty = inject(flight, vehicle, rotor, loss, onset)
-        outcome = _outcome(_judge(faulty, vehicle)[0], rotor, loss, onset)
+        outcome = _outcome(_assess(faulty, vehicle)[0], rotor, loss, onset)
         limit = max(faulty.facts["injected"]["at_limit"])
         trials.append({"flight": flight.name, "rotor": rotor, "loss": loss, **outcome, "at_limit": limit})
     return trials
@@ -252,13 +256,13 @@ def ready_s(vehicle: Vehicle) -> float:
     return READY_KNOWN_S if vehicle.identified else READY_S
 
 
-def _judge(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...], float]:
+def _assess(flight: Flight, vehicle: Vehicle) -> tuple[tuple[counting.Alarm, ...], float]:
     """The alarms of `diagnose`, and the seconds evaluated."""
     ready = prepare(flight, vehicle)
     if ready.table is None:
         return (), 0.0
-    judged_s = float((ready.table.mode == JUDGE).sum() * ready.table.dt)
-    return counting.alarms(ready.answer().end.events), judged_s
+    assessed_s = float((ready.table.mode == ASSESS).sum() * ready.table.dt)
+    return counting.alarms(ready.answer().end.events), assessed_s
 
 
 def draw(room: list[tuple[float, float]], rng: np.random.Generator) -> float:

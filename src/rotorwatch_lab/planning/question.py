@@ -1,4 +1,5 @@
-"""What a log leaves for an excitation to distinguish: the sets of rotors, the hover, and the noise in which they have to be told apart."""
+"""What a log leaves for an excitation to distinguish: the sets of rotors, the hover, and the noise in which they have to be
+distinguished."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorwatch.stats.nonnegative import least_squares
-from rotorwatch.toolkit import GAIN, JUDGE, PER_AXIS, TAU, ExcitationNoise, Ticks, excitation_response
+from rotorwatch.toolkit import ASSESS, GAIN, PER_AXIS, TAU, ExcitationNoise, Ticks, excitation_response
 
 HOVER_S = 3.0  # over which the commands of hover are averaged
 EXPLAINED = 4.0  # standard deviations of trim that a set of rotors may leave unexplained to be suspected
@@ -44,7 +45,7 @@ def suspects(carry, out, table: Ticks, B: np.ndarray) -> dict[tuple[int, ...], n
 def pose(sets: dict[tuple[int, ...], np.ndarray], carry, table: Ticks, B: np.ndarray) -> Question:
     """The sets of rotors (`excitation_response.candidates` or `suspects`, or none) that an excitation has to distinguish. carry: of the
     default estimator after the ticks of `table`."""
-    flying = table.mode == JUDGE
+    flying = table.mode == ASSESS
     late = flying & (table.time > table.time[flying][-1] - HOVER_S)
     hover = (table.thrust * table.hover[:, None])[late].mean(axis=0)
     gain = np.asarray(carry.s)[: 4 * PER_AXIS].reshape(4, PER_AXIS)[:3, GAIN]

@@ -312,9 +312,9 @@ def _numbers(vehicle: Any, options: dict[str, float]) -> tuple[str, Airframe, bo
     craft = prepare.craft(plan, known)
     servo = known is not None and not any(r.spin for r in known.rotors)
     if known is not None and not servo and not all(r.spin for r in known.rotors):
-        raise VehicleError(f"Some rotors of {name} are tilted, which is not reckoned with; only upright rotors can be judged.")
+        raise VehicleError(f"Some rotors of {name} are tilted, which is not reckoned with; only upright rotors can be assessed.")
     if servo:
-        assumptions.append("Yaw is a servo's and taken as sound; it is not judged.")
+        assumptions.append("Yaw is a servo's and taken as sound; it is not assessed.")
     airframe = Airframe.of(craft)
     assumptions.append(
         f"Wind: steady, from any side; drag as in the simulator ({airframe.drag[0]:.3g} V^2 N on the body, {airframe.k_d:.3g} N s/m of a "

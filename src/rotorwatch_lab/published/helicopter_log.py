@@ -54,7 +54,7 @@ AIR = (
 )
 TRIM = (
     f"an actuator is named faulty when its deviation, bias - loss u, stays beyond {LEAST:g} and {MARGIN:g} times what it may be off by for "
-    f"{LASTING_S:g} s; loss and displacement alone cannot be told apart while the command stands still"
+    f"{LASTING_S:g} s; loss and displacement alone cannot be distinguished while the command stands still"
 )
 START_REACH = np.repeat([0.05, 0.02], ACTUATORS)  # of losses and displacements: a flight begins sound
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorwatch.base.physics import G0
-from rotorwatch.toolkit import AIR, DAMPING, GAIN, GROUND, JUDGE, LEARN, PER_AXIS, TAU, Ticks, program, usual_gains
+from rotorwatch.toolkit import AIR, ASSESS, DAMPING, GAIN, GROUND, LEARN, PER_AXIS, TAU, Ticks, program, usual_gains
 from rotorwatch_lab.systems.rate_dynamics import RateDynamics
 
 GAIN_RANGE = 3.0  # a gain further than this factor from what any multirotor has was learned from noise
@@ -81,30 +81,30 @@ def hops(table: Ticks, B: np.ndarray, dynamics: dict | None = None) -> tuple[Log
 
 def _hop(table: Ticks, B: np.ndarray, dynamics: dict | None, start: int, stop: int) -> LogPlant | None:
     here = np.arange(start, stop)
-    judging = here[table.mode[here] == JUDGE]
+    assessing = here[table.mode[here] == ASSESS]
     learning = here[table.mode[here] == LEARN]
-    learning = learning[: np.searchsorted(learning, judging[0])] if judging.size else learning
-    if not judging.size or learning.size * table.dt < LEAST_S:
+    learning = learning[: np.searchsorted(learning, assessing[0])] if assessing.size else learning
+    if not assessing.size or learning.size * table.dt < LEAST_S:
         return None
     axial = np.zeros(len(table.time)) if table.axial is None else np.nan_to_num(table.axial)
-    trimmed, end = _hover(table, axial, learning, judging)
-    judging = judging[judging > end]
-    if not judging.size:
+    trimmed, end = _hover(table, axial, learning, assessing)
+    assessing = assessing[assessing > end]
+    if not assessing.size:
         return None
     x, noise, k = _learned(_cut(table, start, end + 1), B, dynamics)
     G, c = _plausible(x.reshape(4, PER_AXIS), B.shape[1])
     load = table.load + k * axial / G[3]
     b = _trim(table, load, trimmed, G, c)
-    previous = np.maximum(judging - 1, start)
-    u = 0.5 * (table.thrust[judging] + table.thrust[previous])
-    y = np.column_stack([table.rate[judging], -0.5 * G0 * (load[judging] + load[previous])])
-    valid = table.valid[judging] & table.valid[previous] & (table.mode[previous] > GROUND)[:, None]
-    return LogPlant(parameters(B, G, c, b, noise, table.dt), u, y, valid, judging, table.dt, trimmed)
+    previous = np.maximum(assessing - 1, start)
+    u = 0.5 * (table.thrust[assessing] + table.thrust[previous])
+    y = np.column_stack([table.rate[assessing], -0.5 * G0 * (load[assessing] + load[previous])])
+    valid = table.valid[assessing] & table.valid[previous] & (table.mode[previous] > GROUND)[:, None]
+    return LogPlant(parameters(B, G, c, b, noise, table.dt), u, y, valid, assessing, table.dt, trimmed)
 
 
-def _hover(table: Ticks, axial: np.ndarray, learning: np.ndarray, judging: np.ndarray) -> tuple[np.ndarray, int]:
-    """The ticks to learn the trim from, and the last one before rows begin. axial (T,) m/s; learning, judging: ticks of these modes."""
-    candidates, wanted = np.concatenate([learning, judging]), min(round(HOVER_S / table.dt), learning.size)
+def _hover(table: Ticks, axial: np.ndarray, learning: np.ndarray, assessing: np.ndarray) -> tuple[np.ndarray, int]:
+    """The ticks to learn the trim from, and the last one before rows begin. axial (T,) m/s; learning, assessing: ticks of these modes."""
+    candidates, wanted = np.concatenate([learning, assessing]), min(round(HOVER_S / table.dt), learning.size)
     latest = int(learning[-1]) + round(WAIT_S / table.dt)
     still = candidates[(np.abs(axial[candidates]) < STILL_M_S) & (candidates <= latest)]
     end = max(int(learning[-1]), int(still[wanted - 1])) if still.size >= wanted else latest

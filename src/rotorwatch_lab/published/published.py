@@ -21,7 +21,7 @@ from rotorwatch.base import discovery
 from rotorwatch.base.backend import jax as load_jax
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight.method_series import INTERVAL, MethodSeries, joined
-from rotorwatch.toolkit import JUDGE, PLACES, Estimation, Hypotheses, TickOutput, Ticks, list_hypotheses, program, rotor_sets
+from rotorwatch.toolkit import ASSESS, PLACES, Estimation, Hypotheses, TickOutput, Ticks, list_hypotheses, program, rotor_sets
 from rotorwatch_lab.compiling.run import chosen, run, run_built
 from rotorwatch_lab.published import decide, log_plant, origin, own
 from rotorwatch_lab.published.log_plant import LogPlant
@@ -166,7 +166,7 @@ def run_hop(
     return series, outputs[1]
 
 
-def judge(
+def assess(
     name: Any,
     table: Ticks,
     B: np.ndarray,
@@ -175,10 +175,10 @@ def judge(
     progress=None,
     hops: Sequence[LogPlant] | None = None,
 ) -> tuple[TickOutput, MethodSeries | None]:
-    """Outputs of a published method on every tick of a flight, in the default estimator's form, and its raw output on the judged ticks;
-    None where no part of the flight was judged.
+    """Outputs of a published method on every tick of a flight, in the default estimator's form, and its raw output on the assessed ticks;
+    None where no part of the flight was assessed.
 
-    hops: of `log_plant.hops`, when they are known already. Ticks outside the judged hops hold zeros. biases: the missing
+    hops: of `log_plant.hops`, when they are known already. Ticks outside the assessed hops hold zeros. biases: the missing
     wrench besides that of the losses shown. log_odds: of `list_hypotheses(n)`. Raises ConfigError for an unknown method and slow logs.
     """
     discovery.estimator(name)
@@ -195,21 +195,21 @@ def estimation(
     name: Any, table: Ticks, B: np.ndarray, dynamics: dict | None = None, tuning: Tuning | None = None, progress=None
 ) -> Estimation:
     """What `rotorwatch.diagnose` needs of a published method over a flight: the entry point `rotorwatch.estimation`. Arguments as of
-    `judge`."""
-    out, series = judge(name, table, B, dynamics, tuning, progress)
+    `assess`."""
+    out, series = assess(name, table, B, dynamics, tuning, progress)
     return Estimation(out, series, tuple(notes(discovery.title(name))), decide.LIMIT)
 
 
 def itself(name: Any, table: Ticks, B: np.ndarray, hops: Sequence[LogPlant], tuning: Tuning | None = None, progress=None) -> MethodSeries:
-    """Raw output of the method on the judged ticks of a flight with at least one such hop, without decisions."""
+    """Raw output of the method on the assessed ticks of a flight with at least one such hop, without decisions."""
     return joined([run_hop(name, hop, B, table.time, k, tuning, progress)[0] for k, hop in enumerate(hops, start=1)])
 
 
 def default(table: Ticks, B: np.ndarray, dynamics: dict | None = None, progress=None) -> MethodSeries:
-    """What the default estimator says on the judged ticks of a flight: losses of the rotors it holds for weak, and with which standard
+    """What the default estimator says on the assessed ticks of a flight: losses of the rotors it holds for weak, and with which standard
     deviation a loss of the others would be measured. It has no states of this plant's; innovations are of the wrench."""
     _, out = program.estimate(table, B, dynamics, progress)
-    rows = np.flatnonzero(table.mode == JUDGE)
+    rows = np.flatnonzero(table.mode == ASSESS)
     hop, none = np.cumsum(table.restart)[rows], np.zeros((len(rows), 0))
     sd = np.where(out.theta > 0.0, out.theta_sd, out.detectable)[rows]
     cov = np.einsum("ti,ij->tij", sd**2, np.eye(B.shape[1]))
@@ -230,9 +230,9 @@ PLANT_NOTES = (
 def notes(name: str) -> tuple[str, ...]:
     """Assumptions of a diagnosis by a published method."""
     return (
-        f"{name} runs as published, on rotational dynamics whose gains, noise and trim were identified before judging began",
+        f"{name} runs as published, on rotational dynamics whose gains, noise and trim were identified before assessing began",
         f"losses and intervals of rotors and events are those of the decision that all methods share, made of {name}'s estimates; {name}'s "
-        "own losses and intervals are told apart (own estimate)",
+        "own losses and intervals are distinguished (own estimate)",
         "its losses become events by a threshold on the missing wrench; rotor sets that the geometry cannot distinguish "
         "are named together, but slow changes of wind, balance or battery may still pass for losses",
     )

@@ -19,7 +19,7 @@ from rotorwatch.logs.series import SHAPES
 from rotorwatch_lab.simulation import escs, sensors, trajectories, truth, vibration
 from rotorwatch_lab.simulation.logged import LOGGED
 from rotorwatch_lab.simulation.multirotor import Plan, Record
-from rotorwatch_lab.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, told, vehicle
+from rotorwatch_lab.simulation.prepare import PWM, SPIN, a_compensates, frame_numbers, reported, vehicle
 from rotorwatch_lab.simulation.scenario import Scenario
 
 RATES, GROUPS, SOURCES = (LOGGED[part] for part in ("rates", "groups", "sources"))
@@ -222,7 +222,7 @@ def _px4_parameters(scenario: Scenario, craft: Vehicle, plan: Plan) -> dict[str,
         "IMU_GYRO_CUTOFF": scenario.sensors["gyro_filter_hz"],
         "IMU_ACCEL_CUTOFF": scenario.sensors["accel_filter_hz"],
     }
-    for k, r in enumerate(told(scenario, craft.rotors)):
+    for k, r in enumerate(reported(scenario, craft.rotors)):
         parameters |= {f"CA_ROTOR{k}_PX": r.x, f"CA_ROTOR{k}_PY": r.y, f"CA_ROTOR{k}_KM": 0.05 * r.spin, f"CA_ROTOR{k}_CT": 6.5}
     return {k: float(v) for k, v in parameters.items()}
 

@@ -48,7 +48,7 @@ def vehicle(scenario: Scenario) -> Vehicle:
             raise ConfigError(f"faults[{k + 1}].rotor is {fault['rotor']}, but the frame {frame} has {len(rotors)} rotors.")
     if scenario.autopilot == "px4":
         # Demands are logged: the thrust curve is applied to them on the way to the ESC.
-        curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(told(scenario, rotors))
+        curve, name, mixer = ThrustCurve(0.0, 1.0, 0.0), f"px4-{frame}", px4.mix(reported(scenario, rotors))
     else:
         low, high = (PWM[0] + s * (PWM[1] - PWM[0]) for s in SPIN)
         curve, name = ThrustCurve(low, high, believed), f"ardupilot-{frame}"
@@ -63,7 +63,7 @@ def _stretched(rotors: tuple[Rotor, ...], ratio: float) -> tuple[Rotor, ...]:
     return tuple(replace(r, x=r.x * np.sqrt(ratio), y=r.y / np.sqrt(ratio)) for r in rotors)
 
 
-def told(scenario: Scenario, rotors: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
+def reported(scenario: Scenario, rotors: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
     """The geometry that PX4 has in its parameters: the true one, unless the scenario has it believe in another ratio of its sides."""
     a = scenario.airframe
     if a["believed_length_to_width"] is None:

@@ -22,7 +22,7 @@ class Unavailable(ConfigError):
 
 
 waiting: Callable[[str], None] | None = None
-"""Told what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
+"""Reported what is about to be built, which takes seconds and is done once: a program with somebody who waits sets it."""
 
 
 def building(what: str) -> None:

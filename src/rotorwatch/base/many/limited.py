@@ -36,19 +36,19 @@ class _Limited:
 class Workers:
     """Processes that run one job, as many as threads call at once; each is reused.
 
-    job: importable, called with one item. judge_s [s], memory_mb [MB beyond the process after loading]: for one item. loads: modules that a
-    process loads first; prepare: called after that."""
+    job: importable, called with one item. assess_s [s], memory_mb [MB beyond the process after loading]: for one item. loads: modules that
+    a process loads first; prepare: called after that."""
 
     def __init__(
         self,
         job: Callable[[Any], Any],
-        judge_s: float,
+        assess_s: float,
         memory_mb: int,
         loads: Sequence[str] = (),
         prepare: Callable[[], None] | None = None,
     ):
-        self._judge_s, self._memory_mb, self._stopping = judge_s, memory_mb, False
-        self._work = pickle.dumps((_Limited(job, judge_s), functools.partial(_prepare, memory_mb, tuple(loads), prepare)))
+        self._assess_s, self._memory_mb, self._stopping = assess_s, memory_mb, False
+        self._work = pickle.dumps((_Limited(job, assess_s), functools.partial(_prepare, memory_mb, tuple(loads), prepare)))
         self._lock = threading.Lock()
         self._idle: list[Worker] = []
         self._all: list[Worker] = []
@@ -91,11 +91,11 @@ class Workers:
 
     def _sentence(self, why: Exception) -> str:
         if isinstance(why, WorkerError) and not why.how.startswith("died"):
-            return f"the diagnosis exceeded {self._judge_s:g} s and was aborted; try `rotorwatch diagnose`."
+            return f"the diagnosis exceeded {self._assess_s:g} s and was aborted; try `rotorwatch diagnose`."
         return f"the diagnosis exceeded {self._memory_mb} MB of memory and was aborted; try `rotorwatch diagnose`."
 
     def _worker(self) -> Worker:
-        worker = Worker(self._work, self._judge_s + incoming.GRACE_S)
+        worker = Worker(self._work, self._assess_s + incoming.GRACE_S)
         self._all.append(worker)
         return worker
 

@@ -203,14 +203,15 @@ def _warns(kind: type[Warning]) -> bool:
     return next(of_all, "default") != "ignore"
 
 
-def _serve(pipe: Any, work: bytes, place: str, told: bool) -> None:
-    """Main loop of a process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files. told:
+def _serve(pipe: Any, work: bytes, place: str, reported: bool) -> None:
+    """Main loop of a process: sends READY, then items in, packed results out, until the pipe closes. place: for its temporary files.
+    reported:
     whether it reports native code that it builds to the user."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     tempfile.tempdir = place
     if not os.environ.get("ROTORWATCH_DEBUG"):
         warnings.simplefilter("ignore")  # of numerical libraries; each process would repeat them
-        if told:  # in one process only
+        if reported:  # in one process only
             warnings.filterwarnings("once", category=FirstUse)
             warnings.showwarning = lambda message, *where, **more: print(f"rotorwatch: {message}", file=sys.stderr)
     parent = parent_process()

@@ -24,7 +24,7 @@ from rotorwatch.engine.intake import deviations
 from rotorwatch.engine.intake.sizes import EVENTS, RECORDS, TOGETHER
 from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.engine.motion.overrides import Override
-from rotorwatch.engine.motion.tick_table import JUDGE, ROOM, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, ROOM, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import CONTACT, EVIDENCE, LOSS, OVERRIDE, UNKNOWN, kind_of
 
@@ -98,8 +98,8 @@ def read(out, ticks: Ticks, B: np.ndarray, state: Losses | None = None) -> tuple
     if state is None:
         state = Losses(B)
         state.add(ticks, out)
-    judged = np.flatnonzero(ticks.mode == JUDGE)
-    final = int(judged[-1]) if judged.size else len(ticks.time) - 1
+    assessed = np.flatnonzero(ticks.mode == ASSESS)
+    final = int(assessed[-1]) if assessed.size else len(ticks.time) - 1
 
     def shown(event: Event) -> list[float]:
         k = min(int(np.searchsorted(ticks.time, event.detected_s)) + round(SHOWN_S / ticks.dt), final)

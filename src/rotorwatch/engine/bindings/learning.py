@@ -9,7 +9,7 @@ import numpy as np
 from rotorwatch.engine.bindings.plant_rows import any_multirotor, lower_rotors
 from rotorwatch.engine.bindings.program import Learned, estimate
 from rotorwatch.engine.estimator.plant import AIR, DAMPING, GAIN, PER_AXIS, SHARE
-from rotorwatch.engine.motion.tick_table import JUDGE, TICKS_S, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, TICKS_S, Ticks
 
 FLIGHTS_DIFFER = 0.25
 LEARNED_WEIGHT = 2.0  # samples a lag that the noise of healthy flights counts for
@@ -26,7 +26,7 @@ def learn(tables: Sequence[Ticks], B: np.ndarray) -> dict | None:
     rows = (np.arange(4)[:, None] * PER_AXIS + np.array([GAIN, DAMPING])).reshape(-1)
     means, precisions, noises, shares = [], [], [], []
     for table in tables:
-        if (table.mode == JUDGE).sum() * table.dt < 10.0 or table.dt not in TICKS_S:
+        if (table.mode == ASSESS).sum() * table.dt < 10.0 or table.dt not in TICKS_S:
             continue
         carry, _ = estimate(table, B)
         means.append(np.asarray(carry.s)[rows])

@@ -14,7 +14,7 @@ from rotorwatch.engine.drift.time_blocks import Blocks
 from rotorwatch.engine.drift.weighing import ENDS, GOES_ON, IDLE, Weighing
 from rotorwatch.engine.estimator.plant import USUAL_S
 from rotorwatch.engine.intake.craft import Vehicle
-from rotorwatch.engine.intake.ticks import JUDGE
+from rotorwatch.engine.intake.ticks import ASSESS
 
 LOOK_S = 30.0  # between two looks
 SLICES_HZ = 20.0  # slices in a second of flight: a look takes 16 s
@@ -42,13 +42,13 @@ class Trim(Struct):
     def tick(self, v: Vehicle, dt: Time, time: Time, mode: int, usable: bool, lacking: Reals, thrust: Reals) -> None:
         """Add a tick of dt s, in order, on the ground as well. usable: its residual counts; lacking: b + B T theta on roll, pitch and
         yaw; thrust: T."""
-        if mode != JUDGE:
+        if mode != ASSESS:
             self.close()
             self.begin = LASTS
         elif self.begin >= LASTS:
             self.begin = time
             reset(self.blocks)
-        if usable and mode == JUDGE and time >= self.begin + USUAL_S:
+        if usable and mode == ASSESS and time >= self.begin + USUAL_S:
             self._add(v, time, lacking, thrust)
         self.each = SLICES_HZ * dt
         self.due = self.due + self.each if self.busy else 0.0

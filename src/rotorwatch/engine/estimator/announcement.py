@@ -47,8 +47,8 @@ class Alarm(Struct):
         self.limit = threshold(p, GATES * FALSE_ALARM_PERIOD_S)
         self.suspicious = threshold(p, 1.0) + log(MEMORY_S)
 
-    def decide(self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, judge: bool, pushed: bool) -> None:
-        """Decide for one tick. best: the likeliest fault; may: its plausibility; judge: this tick is in flight and assessed; pushed: an
+    def decide(self, p: Plant, found: Evidence, best: Best, bank: Bank, may: Plausible, assess: bool, pushed: bool) -> None:
+        """Decide for one tick. best: the likeliest fault; may: its plausibility; assess: this tick is in flight and assessed; pushed: an
         external force pushes the vehicle sideways."""
         # An unusually large disturbance also competes, except with a pair, whose prior is low already.
         weak = found.asked.weak
@@ -60,12 +60,12 @@ class Alarm(Struct):
         # model includes the ground or a hand that holds the vehicle.
         sure = self.statistic > CERTAIN_NATS and best.kind != PAIR and best.gives <= 0.0
         self.possible = may.missing and not pushed and ((may.asked and best.since < EDGE * bank.reach) or sure)
-        self.above = self.above + 1 if judge and self.statistic > 0.0 and self.possible else 0
+        self.above = self.above + 1 if assess and self.statistic > 0.0 and self.possible else 0
         lasts = RECOVERS_S if best.kind == RECOVERY and not sure else 0.0
         self.alarm = real(self.above) > max(lasts / p.dt, real(TICKS)) - 0.5
         # A certain change is absorbed, whatever its cause, once a rotor is known to be weak; before that only if it is no fault.
         certain = max(found.other, found.fault) > CERTAIN_NATS and (found.other > found.fault + CLEAR or weak)
-        self.sure_s = self.sure_s + p.dt if judge and not self.alarm and certain else 0.0
+        self.sure_s = self.sure_s + p.dt if assess and not self.alarm and certain else 0.0
         # The end of a loss, at first, is commands that fall faster than the motors follow, which no recovery explains but any disturbance.
         self.absorbed = self.sure_s >= (BURST_S if weak and best.kind == RECOVERY else ABSORB_S)
         if self.absorbed:

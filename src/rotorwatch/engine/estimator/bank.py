@@ -195,8 +195,8 @@ class Bank(Struct):
             self.packs[k].stride = real(_stride(p, group))
             self.reach = max(self.reach, real(GROUP * _stride(p, group)))
 
-    def advance(self, p: Plant, judge: bool, restart: bool, before: Reals, first: int, last: int) -> None:
-        """Propagate packs `first` to `last` - 1 by one tick. When `judge` is set, a slot of each group starts a new onset at its stride;
+    def advance(self, p: Plant, assess: bool, restart: bool, before: Reals, first: int, last: int) -> None:
+        """Propagate packs `first` to `last` - 1 by one tick. When `assess` is set, a slot of each group starts a new onset at its stride;
         else, or at a restart, all become unused. before: thrust of each rotor above the mean."""
         fades = exp(-p.dt / ANSWER_S)
         for k in range(first, last):
@@ -204,7 +204,7 @@ class Bank(Struct):
             stride = _stride(p, k * LANES // GROUP)
             fresh = self.count // stride % GROUP if self.count % stride == 0 else -1
             for lane in range(LANES):
-                if not judge or restart:
+                if not assess or restart:
                     pack.age = replaced(pack.age, lane, -1.0)
                 elif fresh == (k * LANES + lane) % GROUP:
                     pack.open(p, lane, before)

@@ -41,12 +41,12 @@ from rotorwatch.engine.estimator.plant import (
 from rotorwatch.engine.estimator.plausibility import Coupling, Missing, Plausible
 from rotorwatch.engine.estimator.posterior import Branches, lives
 from rotorwatch.engine.events.losses import WITHIN_95
-from rotorwatch.engine.intake.ticks import GROUND, JUDGE
+from rotorwatch.engine.intake.ticks import ASSESS, GROUND
 
 LEAST_USUAL = 0.1  # hover thrusts
 # Stages of a tick: predict all filters (AHEAD) and the bank (SHIFTED); update the filters (MEASURED) and the bank (OBSERVED); weigh the
-# explanations; evaluate the evidence of each onset (ASKED); decide; create explanations (BORN); learn noise and fill the result (TOLD).
-AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, DECIDED, BORN, TOLD = 0, 1, 2, 3, 4, 5, 6, 7, 8
+# explanations; evaluate the evidence of each onset (ASKED); decide; create explanations (BORN); learn noise and fill the result (FILLED).
+AHEAD, SHIFTED, MEASURED, OBSERVED, WEIGHED, ASKED, DECIDED, BORN, FILLED = 0, 1, 2, 3, 4, 5, 6, 7, 8
 PIECE = 2  # packs of the bank processed in one part of a tick
 
 
@@ -118,7 +118,7 @@ class Estimator(Struct):
     def part(self, p: Plant, now: Inputs, out: Result) -> bool:
         """Process one of the many, about equally long parts of a tick. Call it with the same inputs until it returns False, when the tick
         is done."""
-        judge = now.mode == JUDGE
+        assess = now.mode == ASSESS
         flying = now.mode > GROUND
         first = self.place
         last = min(first + PIECE, SLOTS // LANES)
@@ -127,7 +127,7 @@ class Estimator(Struct):
         if self.stage == AHEAD:
             self._ahead(p, now, flying, first)
         elif self.stage == SHIFTED:
-            self.bank.advance(p, judge, now.restart, self.memory.thrust, first, last)
+            self.bank.advance(p, assess, now.restart, self.memory.thrust, first, last)
             self.place = last
             size = SLOTS // LANES
         elif self.stage == MEASURED:
@@ -140,7 +140,7 @@ class Estimator(Struct):
             self.place = last
             size = SLOTS // LANES
         elif self.stage == WEIGHED:
-            self._weigh(p, now, judge, out)
+            self._weigh(p, now, assess, out)
             size = 1
         elif self.stage == ASKED:
             self.evidence.look(p, self.bank, first, last)
@@ -148,9 +148,9 @@ class Estimator(Struct):
             size = SLOTS // LANES
         elif self.stage == DECIDED:
             if first == 0:
-                self._decide(p, now, judge, out)
+                self._decide(p, now, assess, out)
             elif first <= PARTS:
-                self._suspect(p, now, judge, out, first - 1)
+                self._suspect(p, now, assess, out, first - 1)
             else:
                 self._choose(p, out)
             size = PARTS + 2
@@ -170,7 +170,7 @@ class Estimator(Struct):
         if self.place < size:
             return True
         self.place = 0
-        self.stage = self.stage + 1 if self.stage < TOLD else AHEAD
+        self.stage = self.stage + 1 if self.stage < FILLED else AHEAD
         return self.stage > AHEAD
 
     def _ahead(self, p: Plant, now: Inputs, flying: bool, k: int) -> None:
@@ -196,14 +196,14 @@ class Estimator(Struct):
             if self.bank.packs[k].used():
                 self.bank.packs[k].observe(p, self.rows, leader, self.observed)
 
-    def _weigh(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
+    def _weigh(self, p: Plant, now: Inputs, assess: bool, out: Result) -> None:
         """Weigh the explanations by this tick's innovations, and set up the hypotheses for the leader's bank."""
         leader = self.branches.all[0]
         self.memory.remember(p, leader.innovation, leader.S, self.measured.counts)
         for a in range(4):
             out.innovation[a] = leader.innovation[a]
             out.innovation_var[a] = leader.S[a]
-        self.branches.weigh(p, self.calm, self.measured.counts, judge)
+        self.branches.weigh(p, self.calm, self.measured.counts, assess)
         if self.branches.lead():
             self.bank.forget()
         found = self.evidence
@@ -211,21 +211,21 @@ class Estimator(Struct):
         found.damping_error = unknown_damping(p, leader.s)
         found.ask(p, leader, self.noise, self.seen.thrust, self.rows.drag, self.missing.air(p), self.memory.outside(p), now.full)
 
-    def _decide(self, p: Plant, now: Inputs, judge: bool, out: Result) -> None:
+    def _decide(self, p: Plant, now: Inputs, assess: bool, out: Result) -> None:
         """Sum the evidence of all onsets and decide whether to announce a fault."""
         leader = self.branches.all[0]
         found = self.evidence
         found.gather(p)
         found.pick(p, self.bank, found.first, self.best)
         slots = self.bank.packs[self.best.slot // LANES]
-        self.may.judge(p, self.best, slots, now, self.seen, self.missing, leader, self.noise, self.coupling)
+        self.may.assess(p, self.best, slots, now, self.seen, self.missing, leader, self.noise, self.coupling)
         out.pushed = self.memory.outside(p) > 0.0
-        self.alarm.decide(p, found, self.best, self.bank, self.may, judge, out.pushed)
+        self.alarm.decide(p, found, self.best, self.bank, self.may, assess, out.pushed)
 
-    def _suspect(self, p: Plant, now: Inputs, judge: bool, out: Result, part: int) -> None:
+    def _suspect(self, p: Plant, now: Inputs, assess: bool, out: Result, part: int) -> None:
         """Test whether opposite rotors share a loss, a part of it."""
         found = self.evidence
-        steady = judge and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
+        steady = assess and not out.pushed and not self.alarm.alarm and abs(now.rate[YAW]) < TURNING
         self.opposite.suspect(p, self.bank, found, self.missing, self.alarm, steady and not found.asked.weak, part)
 
     def _choose(self, p: Plant, out: Result) -> None:

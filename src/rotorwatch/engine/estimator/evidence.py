@@ -236,10 +236,10 @@ class Evidence(Struct):
                     self._rise(h, faults, one(self.nats[h], lane))
                     share = vanishing(self.nats[h] - self.top[h])
                 factor = one(weight, lane) * one(share, lane)
-                told = slots.stride * factor
-                self.total[h] += told
-                if told > self.peak[h]:
-                    self.peak[h] = told
+                reported = slots.stride * factor
+                self.total[h] += reported
+                if reported > self.peak[h]:
+                    self.peak[h] = reported
                     self.place[h] = first + lane
                 if h >= faults:
                     loud[h - faults] = max(loud[h - faults], factor)

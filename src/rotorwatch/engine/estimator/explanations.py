@@ -23,7 +23,7 @@ from rotorwatch.engine.estimator.kalman import Branch, Measured
 from rotorwatch.engine.estimator.noise import DRIFT, FAST, SLOW, Noise
 from rotorwatch.engine.estimator.plant import B1, B2, B3, PER_AXIS, THETA, Inputs, Plant, Rows, drag, entry, set_plant
 from rotorwatch.engine.intake.craft import PITCH, ROLL, THRUST, YAW
-from rotorwatch.engine.intake.ticks import JUDGE
+from rotorwatch.engine.intake.ticks import ASSESS
 
 WIDTH = 0.5  # standard deviation of a loss before the data
 LEANS = 0.5  # standard deviation of the thrust that a push takes, of that where the vehicle leans into it: free to move, it need not
@@ -88,7 +88,7 @@ def explain(
         them[k].fit = 0.0
         for a in range(4):
             them[k].square[a] = 0.0
-    judged = 0.0
+    assessed = 0.0
     wrench = local(REAL, 4)
     begin = onset + max(int(SETTLES_S / p.dt), 1)
     for t in range(count):
@@ -103,7 +103,7 @@ def explain(
                 them[k].side[1] = e.seen.right
         differing = many if t >= onset else 1
         take(p, u, first, now)
-        now.mode = JUDGE
+        now.mode = ASSESS
         now.restart = t == 0
         for a in range(4):
             now.wrench[a] = y[4 * t + a]
@@ -122,10 +122,10 @@ def explain(
                 e.measured.y[a] = wrench[a]
             _update(p, e, others[k - 1], them[k], now, True, t >= begin)
         if t >= onset:
-            judged += 1.0
+            assessed += 1.0
     for k in range(many):
         for a in range(4):
-            them[k].square[a] /= max(judged, 1.0)
+            them[k].square[a] /= max(assessed, 1.0)
     if them[0].end >= count:
         _read(p, e.branches.all[0], them[0])
     for k in range(1, many):

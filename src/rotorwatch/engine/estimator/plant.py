@@ -85,7 +85,7 @@ class Inputs(Struct):
     expo_sd: Real = 0.0  # its standard deviation
     axial: Real = 0.0  # speed along the thrust axis, m/s, positive in a climb along it, 0 if unknown
     still: bool = False  # it is known to move neither up nor down
-    mode: int = 0  # of intake/ticks.py, GROUND to JUDGE
+    mode: int = 0  # of intake/ticks.py, GROUND to ASSESS
     restart: bool = False  # widen the biases: a new hop, or after a contact
     hop: bool = False  # this restart is a new hop
     wrench = array(REAL, 4)

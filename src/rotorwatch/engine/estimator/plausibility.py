@@ -124,7 +124,7 @@ class Plausible(Struct):
     asked: bool = False  # the commands moved in the direction that it demands
     missing: bool = False  # its thrust is missing, and saturation does not explain that
 
-    def judge(
+    def assess(
         self,
         p: Plant,
         best: Best,

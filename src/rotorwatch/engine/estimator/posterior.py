@@ -83,9 +83,9 @@ class Branches(Struct):
         for k in range(1, PLACES):
             self.all[k].weight = NEVER
 
-    def weigh(self, p: Plant, calm: Reals, counts: Flags, judge: bool) -> None:
+    def weigh(self, p: Plant, calm: Reals, counts: Flags, assess: bool) -> None:
         """Update the weights by one tick's innovations. calm (4,): weight of evidence; counts (4,): the axis is valid."""
-        share = TEMPER * exp(-self.age / BURST_S) if judge else 0.0
+        share = TEMPER * exp(-self.age / BURST_S) if assess else 0.0
         leading = 0.0
         alike = _any_alike(p, self.all[0])
         for k in range(PLACES):

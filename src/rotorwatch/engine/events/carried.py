@@ -5,12 +5,12 @@ from __future__ import annotations
 from rotorwatch.base.compiling.structs import NAN, REAL, Flags, Ints, Real, Reals, Time, Times, isnan, local, real
 from rotorwatch.base.medians import median
 from rotorwatch.engine.intake.sizes import ROTORS
-from rotorwatch.engine.intake.ticks import GROUND, JUDGE
+from rotorwatch.engine.intake.ticks import ASSESS, GROUND
 
 LIFTED, LANDS = 0.95, 0.92  # of the usual thrust per load: carried by the rotors alone; no more
 MEAN_S, BEFORE_S = 0.5, 0.7  # of the mean; a first leg touches so long before it shows
 LIFTS_S, LANDS_S = 6.0, 15.0  # s within which a flight begins and ends on the ground
-USUAL_S = 20.0  # of judged flight next to that
+USUAL_S = 20.0  # of assessed flight next to that
 STILL = 0.5  # m/s along the thrust axis, above which it is not on the ground
 STANDS = 0.6  # of the usual hover command, below which all of a flight is on the ground: no vehicle drops so much weight
 MOSTLY = 0.7  # share of the ticks from a first contact to the end that the ground carries
@@ -53,7 +53,7 @@ def on_ground(
         known = valid[i] and not isnan(load[i])
         carried[2 * i] = (total / real(rotors) - air_effect * climb) / max(load[i], 0.3) if known else NAN
         carried[2 * i + 1] = (median(ordered, rotors) - air_effect * climb) / max(load[i], 0.3) if known else NAN
-        if mode[i] == JUDGE and not isnan(carried[2 * i]):
+        if mode[i] == ASSESS and not isnan(carried[2 * i]):
             rows[count] = i
             count += 1
     if count == 0:
@@ -94,24 +94,24 @@ def _hop(
     rows: Ints,
     found: Flags,
 ) -> None:
-    """The same of one flight, of ticks from first to last, exclusive. usual, middle: of all flights, where this one was not judged."""
+    """The same of one flight, of ticks from first to last, exclusive. usual, middle: of all flights, where this one was not assessed."""
     width = max(1, _ticks(MEAN_S, dt))
     count = _ticks(USUAL_S, dt)
-    judged = 0
+    assessed = 0
     for i in range(first, last):
-        if mode[i] == JUDGE and not isnan(carried[2 * i]):
-            rows[judged] = i
-            judged += 1
+        if mode[i] == ASSESS and not isnan(carried[2 * i]):
+            rows[assessed] = i
+            assessed += 1
     begins = usual
     begins_middle = middle
     ends = usual
     ends_middle = middle
-    if judged > 0:
-        part = min(count, judged)
+    if assessed > 0:
+        part = min(count, assessed)
         begins = _usual(carried, rows, 0, part, 0, some)
         begins_middle = _usual(carried, rows, 0, part, 1, some)
-        ends = _usual(carried, rows, judged - part, judged, 0, some)
-        ends_middle = _usual(carried, rows, judged - part, judged, 1, some)
+        ends = _usual(carried, rows, assessed - part, assessed, 0, some)
+        ends_middle = _usual(carried, rows, assessed - part, assessed, 1, some)
     m = 0
     for i in range(first, last):
         if mode[i] > GROUND and not isnan(carried[2 * i]):

@@ -17,7 +17,7 @@ from rotorwatch.engine.intake.sizes import ALTERNATIVES, CONTACTS, EVENTS, FALLS
 LOSS, OUTPUT_OVERRIDE, CONTACT, TURNED_MOUNT = 0, 1, 2, 9
 # Current state: not in the air for long enough yet, or a rotor's commands are unknown; healthy so far; a fault of known rotors or outputs;
 # a fault that several sets of rotors explain.
-NOT_JUDGED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
+NOT_ASSESSED, HEALTHY, FAULT, AMBIGUOUS = 0, 1, 2, 3
 # Details of a loss: opposite rotors, or else the battery, may explain it; two rotors of one arm together lack about one rotor; it grew
 # gradually; its apparent end left the trim unchanged.
 PLAIN, SHARED, ONE_ARM, GREW, STAYS = 0, 1, 2, 3, 4
@@ -255,8 +255,8 @@ def put(out: list[Event], count: int, room: int, one: Event) -> int:
     return n + 1
 
 
-def verdict(events: list[Event], count: int, judged: bool) -> int:
-    """State of the vehicle (NOT_JUDGED to AMBIGUOUS) from its events; judged: at least one tick has been assessed."""
+def verdict(events: list[Event], count: int, assessed: bool) -> int:
+    """State of the vehicle (NOT_ASSESSED to AMBIGUOUS) from its events; assessed: at least one tick has been assessed."""
     unsure = False
     for i in range(count):
         if events[i].is_fault() and events[i].alternative_count == 0:
@@ -264,7 +264,7 @@ def verdict(events: list[Event], count: int, judged: bool) -> int:
         unsure = unsure or events[i].is_fault()
     if unsure:
         return AMBIGUOUS
-    return HEALTHY if judged else NOT_JUDGED
+    return HEALTHY if assessed else NOT_ASSESSED
 
 
 def main_event(events: list[Event], count: int) -> int:

@@ -34,7 +34,7 @@ from rotorwatch.engine.events.events import LOSS, PLAIN, SHARED, Event
 from rotorwatch.engine.events.records import Course, ExplanationState, Found, Onset, Record, Records
 from rotorwatch.engine.intake.craft import PITCH, ROLL, Vehicle
 from rotorwatch.engine.intake.sizes import ALTERNATIVES, PAIRS, PLACES, REACH, RECORDS, ROTORS, TOGETHER
-from rotorwatch.engine.intake.ticks import JUDGE
+from rotorwatch.engine.intake.ticks import ASSESS
 
 # Share by which the slope of the thrust curve in hover may differ from the logged one: an error of 0.18 in an expo of 0.65, as a setting
 # that was never measured has.
@@ -51,14 +51,14 @@ class Losses(Struct):
 
     records = embedded(Records)  # final records: all before the last announcement
     latest = embedded(ExplanationState)  # after the last tick
-    judged = embedded(ExplanationState)  # after the last assessed tick
+    assessed = embedded(ExplanationState)  # after the last assessed tick
     courses = array(Course, ROTORS)  # estimates of each weak rotor
     before_courses = array(Course, ROTORS)  # the same before the last announcement
     onsets = array(Onset, PLACES)  # of the explanations of the last announcement
     time = array(TIME, REACH)  # s, ring buffer by tick
     age = array(REAL, REACH)  # s by which commands are older than their tick, ring buffer
     first_onset: Time = 0.0
-    judged_time: Time = 0.0
+    assessed_time: Time = 0.0
     theta = array(REAL, ROTORS)  # losses at the last assessed tick
     sd = array(REAL, ROTORS)  # their standard deviations
     tick: int = -1  # number of the last tick, -1 before any
@@ -109,10 +109,10 @@ class Losses(Struct):
                 for k in range(v.rotors):  # restart the estimates of rotors without a final record
                     if (self.before & (1 << k)) == 0:
                         reset(self.courses[k])
-        if mode != JUDGE:
+        if mode != ASSESS:
             return
-        copy(self.judged, self.latest)
-        self.judged_time = time
+        copy(self.assessed, self.latest)
+        self.assessed_time = time
         self.flown = True
         for k in range(v.rotors):
             self.theta[k] = found.theta[k]
@@ -131,7 +131,7 @@ class Losses(Struct):
         for i in range(records.count):
             copy(records.all[i], self.records.all[i])
         if self.flown:
-            self._conclude(v, records, self.judged)
+            self._conclude(v, records, self.assessed)
         for i in range(records.count):
             place = i
             while place > 0 and records.all[order[place - 1]].detected > records.all[i].detected:
@@ -243,11 +243,11 @@ class Losses(Struct):
     def _landed(self, v: Vehicle) -> None:
         """End the flight: losses that lasted until the landing end at the last assessed tick."""
         if self.flown:
-            self._conclude(v, self.records, self.judged)
+            self._conclude(v, self.records, self.assessed)
             for k in range(v.rotors):
                 place = int(self.records.of[k])
                 if place >= 0 and self.records.all[place].end >= LASTS:
-                    self.records.all[place].end = self.judged_time
+                    self.records.all[place].end = self.assessed_time
                     _usual(v, self.records.all[place], self.courses, self.tick)
         for k in range(v.rotors):
             self.records.of[k] = -1
@@ -324,7 +324,7 @@ class Losses(Struct):
             most = max(most, r.share[i])
         if not own:
             e.probability = most
-        young = flies and self.judged_time - r.detected < YOUNG_S - 1e-6
+        young = flies and self.assessed_time - r.detected < YOUNG_S - 1e-6
         hidden = False
         pair = 0
         for i in range(n):

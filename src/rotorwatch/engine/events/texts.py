@@ -13,7 +13,7 @@ from rotorwatch.base.compiling.structs import LASTS, REAL, TIME, Real, Small, St
 from rotorwatch.engine.events.changes import Known
 from rotorwatch.engine.events.events import CONTACT, LOSS, Event
 from rotorwatch.engine.events.words import INFO, severity
-from rotorwatch.engine.intake.sizes import ROTORS, TOGETHER, TOLD_EVENTS
+from rotorwatch.engine.intake.sizes import REPORTED_EVENTS, ROTORS, TOGETHER
 
 EVERY_S = 5.0  # least time between two texts
 OVER_S = 20.0  # since the end of an event, until it is reported as over
@@ -24,7 +24,7 @@ AGAIN_MOST_S = 160.0
 CALM_S = 300.0  # time without a report on a rotor after which AGAIN_S applies again
 
 
-class Told(Struct):
+class Reported(Struct):
     """An event and its last report."""
 
     event = embedded(Event)  # current or last state
@@ -41,7 +41,7 @@ class Told(Struct):
 class Texts(Struct):
     """Tracks the reports of all events."""
 
-    told = array(Told, TOLD_EVENTS)
+    reported = array(Reported, REPORTED_EVENTS)
     last: Time = -LASTS  # s, when the last text was sent
     # For each rotor, and for events without a rotor: time of the last report, waiting time after it, and its severity.
     since = array(TIME, ROTORS + 1)
@@ -50,26 +50,26 @@ class Texts(Struct):
 
     def look(self, known: list[Known], count: int) -> None:
         """Take over the current events."""
-        for i in range(TOLD_EVENTS):
-            self.told[i].present = False
+        for i in range(REPORTED_EVENTS):
+            self.reported[i].present = False
         for k in range(count):
             place = -1
-            for i in range(TOLD_EVENTS):
-                if self.told[i].number == known[k].number:
+            for i in range(REPORTED_EVENTS):
+                if self.reported[i].number == known[k].number:
                     place = i
             if place < 0:
                 place = self._free()
-                reset(self.told[place])
-                self.told[place].number = known[k].number
-            copy(self.told[place].event, known[k].event)
-            self.told[place].present = True
-            if self.told[place].over and not _over(known[k].event):  # its end was reported, yet it continues: treat it as a new event
-                self.told[place].over = False
-                self.told[place].severity = 0
-        for i in range(TOLD_EVENTS):
-            gone = not self.told[i].present
-            if gone and (self.told[i].severity == 0 or self.told[i].over or self.told[i].event.end < LASTS):
-                self.told[i].number = 0  # no report needs to be withdrawn
+                reset(self.reported[place])
+                self.reported[place].number = known[k].number
+            copy(self.reported[place].event, known[k].event)
+            self.reported[place].present = True
+            if self.reported[place].over and not _over(known[k].event):  # its end was reported, yet it continues: treat it as a new event
+                self.reported[place].over = False
+                self.reported[place].severity = 0
+        for i in range(REPORTED_EVENTS):
+            gone = not self.reported[i].present
+            if gone and (self.reported[i].severity == 0 or self.reported[i].over or self.reported[i].event.end < LASTS):
+                self.reported[i].number = 0  # no report needs to be withdrawn
 
     def due(self, now: Time, most: int) -> int:
         """Index of the event to report now, -1 if there is none. most: MAV_SEVERITY of the least severe events to report."""
@@ -77,9 +77,9 @@ class Texts(Struct):
             return -1
         best = -1
         least = 0
-        for i in range(TOLD_EVENTS):
-            if self.told[i].number != 0:
-                grave = self._new(self.told[i], now, most)
+        for i in range(REPORTED_EVENTS):
+            if self.reported[i].number != 0:
+                grave = self._new(self.reported[i], now, most)
                 if grave > 0 and (best < 0 or grave < least):
                     best = i
                     least = grave
@@ -87,29 +87,29 @@ class Texts(Struct):
 
     def tell(self, place: int, now: Time) -> int:
         """Mark the event at this index as reported at `now` s; return its severity."""
-        grave = _severity(self.told[place])
+        grave = _severity(self.reported[place])
         self.last = now
-        if not self.told[place].present:
-            self.told[place].number = 0
+        if not self.reported[place].present:
+            self.reported[place].number = 0
             return grave
-        fresh = self.told[place].severity == 0
-        self.told[place].severity = grave if grave < INFO or fresh else self.told[place].severity
-        self.told[place].over = _over(self.told[place].event)
-        self.told[place].certain = self.told[place].event.alternative_count == 0
-        self.told[place].rotors = self.told[place].event.rotors
+        fresh = self.reported[place].severity == 0
+        self.reported[place].severity = grave if grave < INFO or fresh else self.reported[place].severity
+        self.reported[place].over = _over(self.reported[place].event)
+        self.reported[place].certain = self.reported[place].event.alternative_count == 0
+        self.reported[place].rotors = self.reported[place].event.rotors
         for k in range(TOGETHER):
-            self.told[place].loss[k] = self.told[place].event.loss[k]
-        self.told[place].gives = _gives(self.told[place].event)
+            self.reported[place].loss[k] = self.reported[place].event.loss[k]
+        self.reported[place].gives = _gives(self.reported[place].event)
         for r in range(ROTORS + 1):
-            if _of(self.told[place].event, r):
-                if not self.told[place].over:
+            if _of(self.reported[place].event, r):
+                if not self.reported[place].over:
                     calm = now - self.since[r] > CALM_S or self.wait[r] <= 0.0
                     self.wait[r] = AGAIN_S if calm else min(2.0 * self.wait[r], AGAIN_MOST_S)
                     self.grave[r] = 1.0 * grave
                 self.since[r] = now
         return grave
 
-    def _new(self, t: Told, now: Time, most: int) -> int:
+    def _new(self, t: Reported, now: Time, most: int) -> int:
         """Severity of a report that is due for t; 0 if there is nothing new or it has to wait."""
         grave = _severity(t)
         over = _over(t.event) and not t.over and now - t.event.end >= OVER_S and not self._again(t)
@@ -126,26 +126,26 @@ class Texts(Struct):
                     return 0
         return grave
 
-    def _again(self, t: Told) -> bool:
+    def _again(self, t: Reported) -> bool:
         """Whether a rotor of this event is weak again."""
-        for i in range(TOLD_EVENTS):
-            later = self.told[i].number > t.number and self.told[i].present and not _over(self.told[i].event)
-            if later and (self.told[i].event.rotors & t.event.rotors) != 0:
+        for i in range(REPORTED_EVENTS):
+            later = self.reported[i].number > t.number and self.reported[i].present and not _over(self.reported[i].event)
+            if later and (self.reported[i].event.rotors & t.event.rotors) != 0:
                 return True
         return False
 
     def _free(self) -> int:
         """Index of a free place, else that of the oldest event."""
         place = 0
-        for i in range(TOLD_EVENTS):
-            if self.told[i].number == 0:
+        for i in range(REPORTED_EVENTS):
+            if self.reported[i].number == 0:
                 return i
-            if self.told[i].number < self.told[place].number:
+            if self.reported[i].number < self.reported[place].number:
                 place = i
         return place
 
 
-def _severity(t: Told) -> int:
+def _severity(t: Reported) -> int:
     """Severity of the event's next report."""
     return severity(t.event, not t.present)
 
@@ -166,7 +166,7 @@ def _gives(e: Event) -> Real:
     return e.size if e.kind == LOSS else 0.0
 
 
-def _changed(t: Told) -> bool:
+def _changed(t: Reported) -> bool:
     """Whether the event differs from its report: other rotors, alternatives added or removed, a stuck rotor's thrust changed by GIVES, or
     the reported loss outside the present interval and changed by MOVED."""
     gives = _gives(t.event)

@@ -113,7 +113,7 @@ class Deviations(Struct):
     unexplained: Time = 0.0  # ... of the differences between outputs that were not as demanded
     differences: Time = 0.0  # ... of all differences between outputs
     fitted: int = 0  # number of comparisons that fitted
-    judged: int = 0  # number that could have
+    assessed: int = 0  # number that could have
     recent_time = array(TIME, RECENT)
     recent = array(REAL, RECENT, ROTORS)  # thrusts of the last half second
     recent_first: int = 0
@@ -184,13 +184,13 @@ class Deviations(Struct):
                 largest = max(largest, size * size)
         # Test how well the mixer has explained the outputs so far; a mixer that never did gives no evidence about single outputs. Nor
         # does one with the right throttle but another scale of roll, pitch and yaw: it fits as well while nothing turns.
-        proven = self.fitted >= _PROVEN and float(self.fitted) > 0.7 * float(self.judged)
+        proven = self.fitted >= _PROVEN and float(self.fitted) > 0.7 * float(self.assessed)
         proven = proven and self.unexplained < _UNEXPLAINED * self.differences
         usual = real(6.0 * sqrt(self.power / float(max(self.fitted, 1))))
         limit = max(PART, usual)
         still_limit = max(_PART_STILL, usual)
         if flying and whole:
-            self.judged += 1
+            self.assessed += 1
         if fits:
             self.fitted += 1
             self.power += largest

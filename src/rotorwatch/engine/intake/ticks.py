@@ -13,7 +13,7 @@ from rotorwatch.engine.intake.craft import THRUST, YAW, Vehicle
 from rotorwatch.engine.intake.sense import Plan, Sensed
 from rotorwatch.engine.intake.sizes import ROTORS, SETTLING
 
-GROUND, LEARN, JUDGE = 0, 1, 2
+GROUND, LEARN, ASSESS = 0, 1, 2
 AGAIN = 2  # in place of a restart: the trim is learned again, known losses stay
 
 HOVER_LEARN_S = 1.0  # after lift-off: the first second gives the hover command and is not evaluated
@@ -115,7 +115,7 @@ class Ticks(Struct):
         self.flown += 1 if inside and row.some else 0
         # Nothing is learned from ticks without commands; many logs miss single ones.
         ready = row.time >= start + p.ready and self.flown >= int(LEAST_SEEN * (p.ready - HOVER_LEARN_S) / p.dt)
-        out.mode = GROUND if not inside else JUDGE if ready else LEARN
+        out.mode = GROUND if not inside else ASSESS if ready else LEARN
         self._tumble(p, row, inside, out)
 
         turns = False
@@ -138,16 +138,16 @@ class Ticks(Struct):
             self.learned = 0
         elif self.learned >= 0 and fresh and most < CONTROLLED_SHARE and fastest < CONTROLLED_RATE:
             self.learned += 1
-        if out.mode == JUDGE and 0 <= self.learned < int(p.ready / p.dt + 0.5):
+        if out.mode == ASSESS and 0 <= self.learned < int(p.ready / p.dt + 0.5):
             out.mode = LEARN
 
-        judged = row.some and inside and not out.upset and not out.touch.hit
+        assessed = row.some and inside and not out.upset and not out.touch.hit
         for a in range(3):
-            out.valid[a] = judged and row.rate_ok
+            out.valid[a] = assessed and row.rate_ok
             out.rate[a] = row.rate[a]
             out.rate_dot[a] = row.rate_dot[a]
         out.valid[YAW] = out.valid[YAW] and turns  # rotors that make no yaw torque explain none: a servo yaws a tricopter
-        out.valid[THRUST] = judged and row.load_ok
+        out.valid[THRUST] = assessed and row.load_ok
         out.load = row.load
         out.axial = row.axial
         out.side[0] = row.side[0]

@@ -291,13 +291,15 @@ def aligned(flight: Flight, vehicle: Vehicle, air: Spans) -> Flight:
     time = motors.time - np.array([lag.seconds for lag in late])[part]
     by_time = np.argsort(time, kind="stable")
     motors = motors.with_arrays(time[by_time], motors.values[by_time], np.ascontiguousarray(motors.valid[by_time]))
-    told = [
+    reported = [
         f"{abs(lag.seconds):.2f} s {'later' if lag.seconds > 0.0 else 'earlier'}"
         f"{'' if lag.start == -np.inf else f' from {lag.start:.1f} s on'}"
         for lag in late
         if lag.seconds
     ]
-    warning = f"motors ({motors.source}): logged {', '.join(told)} than the rate controller's output that they follow; moved to its clock."
+    warning = (
+        f"motors ({motors.source}): logged {', '.join(reported)} than the rate controller's output that they follow; moved to its clock."
+    )
     return replace(flight, signals={**flight.signals, "motors": motors}, warnings=(*flight.warnings, warning))
 
 

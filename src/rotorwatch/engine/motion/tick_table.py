@@ -34,13 +34,13 @@ from rotorwatch.engine.intake.planning import (
     tick_length,
 )
 from rotorwatch.engine.intake.sense import LATE_S, SIDE_S
-from rotorwatch.engine.intake.ticks import AGAIN, GROUND, HOVER_LEARN_S, JUDGE, LEARN
+from rotorwatch.engine.intake.ticks import AGAIN, ASSESS, GROUND, HOVER_LEARN_S, LEARN
 from rotorwatch.engine.motion import allocation
 from rotorwatch.engine.motion.knocks import Contact, contacts, look_back
 from rotorwatch.flight import Flight, Signal
 from rotorwatch.flight.vehicle import Vehicle
 
-__all__ = ["AGAIN", "GROUND", "HOVER_LEARN_S", "JUDGE", "LATE_S", "LEARN", "READY_KNOWN_S", "READY_S", "READY_TICKS", "SIDE_S", "TICKS_S"]
+__all__ = ["AGAIN", "ASSESS", "GROUND", "HOVER_LEARN_S", "LATE_S", "LEARN", "READY_KNOWN_S", "READY_S", "READY_TICKS", "SIDE_S", "TICKS_S"]
 
 EARLIEST_TICKS = 2  # duration of an announcement: engine/estimator/announcement.py
 ROOM = 512  # ticks, or rows, in one call
@@ -51,7 +51,7 @@ class Ticks:
     """T ticks of an n-rotor flight.
 
     time (T,) s, when the whole tick was known. command_time (T,) s, mean time of its commands. thrust (T, n); wrench (T, 4) = B thrust;
-    rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0; valid (T, 4) bool; mode (T,) GROUND, LEARN or JUDGE; restart
+    rate, rate_dot (T, 3) rad/s, rad/s^2; load (T,) specific force up / g0; valid (T, 4) bool; mode (T,) GROUND, LEARN or ASSESS; restart
     (T,) bool, first tick of a hop; dt s; hover (T,) mean share of full thrust per rotor per unit of thrust; side (T, 2): specific force
     forward and right [m/s^2], mean of the last SIDE_S, or None where not measured. contact (T,) bool: an external force or torque acted
     on the vehicle, and for `ready_s` after it its trim is learned again (None: no contact); contacts: their description. seen (T,) bool:
@@ -109,7 +109,7 @@ def slow(rate_hz: float, dt: float, ready_s: float) -> str:
     if dt <= SHORTEST_S / 2.0:
         return ""
     return (
-        f"motor outputs at {rate_hz:.1f} Hz are judged every {dt:g} s, after {ready_s:.0f} s of learning: a loss is announced when it "
+        f"motor outputs at {rate_hz:.1f} Hz are assessed every {dt:g} s, after {ready_s:.0f} s of learning: a loss is announced when it "
         f"shows in {EARLIEST_TICKS} of these, {EARLIEST_TICKS * dt:g} s; one that ends sooner is missed, and a small one may be missed"
     )
 

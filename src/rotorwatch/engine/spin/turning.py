@@ -1,7 +1,8 @@
 """When a vehicle spins and flies on, and the events of that.
 
 A vehicle without a rotor can still hold its thrust axis and its place if it gives up its heading (Mueller and D'Andrea, ICRA 2014). Such a
-spin is no fall: upright, without sinking fast, carried by its rotors. Which of them are off is judged from the controlled flight before on:
+spin is no fall: upright, without sinking fast, carried by its rotors. Which of them are off is assessed from the controlled flight before
+on:
 the ticks of the last seconds are still in the queue, and are worked off a few at a time.
 """
 
@@ -33,7 +34,7 @@ CATCHES_UP = 8  # ticks worked off in the time of one
 
 class Spin(Struct):
     """The spin of the current or last flight. since, until: of it [s]; off: rotors off since before it. watched: False where departures
-    are judged with what was commanded instead (case/departures.py)."""
+    are assessed with what was commanded instead (case/departures.py)."""
 
     off = embedded(RotorsOff)
     since: Time = LASTS
@@ -120,24 +121,24 @@ class Spin(Struct):
         if many == 0 or self.off.blind or not self._turns() or not self._flies():
             return count
         begun = LASTS
-        told = 0
+        reported = 0
         left = 0
         for k in range(many):
             begun = min(begun, self.off.all[k].onset)
         for i in range(count):
             e = events[i]
-            place = self._announced(e, told, many)
+            place = self._announced(e, reported, many)
             jerked = e.kind == CONTACT and begun - SOON_S < e.onset <= self.until  # a rotor that stops jerks the vehicle
             replaced = (e.kind == LOSS or e.kind == OUTPUT_OVERRIDE) and e.onset > begun - SAME_S and place < 0
             if not jerked and not replaced:
                 if left != i:
                     copy(events[left], e)
                 if place >= 0:
-                    told |= 1 << place
+                    reported |= 1 << place
                     _stops(events[left], self.off.all[place])
                 left += 1
         for k in range(many):
-            if (told & (1 << k)) == 0:
+            if (reported & (1 << k)) == 0:
                 one = Event()
                 one.onset = self.off.all[k].onset
                 one.detected = self.off.all[k].detected
@@ -164,13 +165,13 @@ class Spin(Struct):
             return False
         return self.level >= UPRIGHT * n
 
-    def _announced(self, e: Event, told: int, many: int) -> int:
+    def _announced(self, e: Event, reported: int, many: int) -> int:
         """Index of the rotor off, of the first `many`, that a loss has announced, as it went off, or before it stopped for good; -1 if
         none. Only the first time that a rotor went off counts."""
         if e.kind != LOSS or e.alternative_count > 0:
             return -1
         for k in range(many):
-            if e.rotors == 1 << int(self.off.all[k].rotor) and (told & (1 << k)) == 0:
+            if e.rotors == 1 << int(self.off.all[k].rotor) and (reported & (1 << k)) == 0:
                 ahead = e.onset - self.off.all[k].onset
                 return k if -EARLIER_S < ahead < SAME_S else -1
         return -1

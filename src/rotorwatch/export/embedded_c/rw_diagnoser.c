@@ -142,7 +142,7 @@ int rw_diagnoser_factors(const rw_diagnoser *d, rw_real *factors)
 
 const char *rw_diagnoser_verdict_text(const rw_diagnoser *d)
 {
-    static const char *const words[] = {"not judged", "healthy so far", "fault found", "ambiguous"};
+    static const char *const words[] = {"not assessed", "healthy so far", "fault found", "ambiguous"};
     return words[rw_diagnoser_verdict(d)];
 }
 

@@ -1,8 +1,8 @@
 /* The whole: samples in, events out. Which rotor lost effectiveness, how much, since when, how sure.
 
    Feed every sample in the order of its time, of all kinds together, then poll. Feeding a sample of time t says that all older ones have
-   come. The judgement of a moment is final, but for events that a poll reports as changed or withdrawn: ticks that may still turn out to lie on
-   the ground (a descent on little thrust, a knock) wait until that is known, up to some seconds, and are judged then.
+   come. The assessment of a moment is final, but for events that a poll reports as changed or withdrawn: ticks that may still turn out to lie on
+   the ground (a descent on little thrust, a knock) wait until that is known, up to some seconds, and are assessed then.
 
      static rw_diagnoser d;
      rw_diagnoser_init(&d, &rw_vehicle_default, &rw_plan_default);
@@ -109,7 +109,7 @@ void rw_diagnoser_finish(rw_diagnoser *d, rw_time time);
 /* What is new since the last poll, into notifications[2 * RW_EVENTS]; returns how many. Its events stay until the next poll. */
 int rw_diagnoser_poll(rw_diagnoser *d, rw_notification *notifications);
 
-/* After a poll: all events; the place of the one that matters most, or -1; the verdict: RW_NOT_JUDGED, RW_HEALTHY, RW_FAULT or
+/* After a poll: all events; the place of the one that matters most, or -1; the verdict: RW_NOT_ASSESSED, RW_HEALTHY, RW_FAULT or
    RW_AMBIGUOUS, and in a word or two: "healthy so far". */
 int rw_diagnoser_events(const rw_diagnoser *d, const rw_event **events);
 int rw_diagnoser_main(const rw_diagnoser *d);

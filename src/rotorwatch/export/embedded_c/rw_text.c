@@ -12,7 +12,7 @@ int rw_diagnoser_text(const rw_diagnoser *d, rw_texts *t, rw_time now, int most,
     place = rw_texts_due(t, now, most);
     if (place < 0) return 0;
     rw_words_init(&words);
-    rw_words_event(&words, &t->told[place].event, !t->told[place].present, names[t->told[place].event.kind]);
+    rw_words_event(&words, &t->reported[place].event, !t->reported[place].present, names[t->reported[place].event.kind]);
     memcpy(text, words.at, RW_TEXT);
     return (int)rw_texts_tell(t, place, now);
 }

@@ -114,7 +114,7 @@ static bool rotors_from_parameters(rw_log *log, bool *found)
     if (n < 3 || n > 12)
         return true;
     if (rw_parameter_of(log, "CA_AIRFRAME", 0.0) != 0.0)
-        return rw_refuse(log, "CA_AIRFRAME %d is not a plain multirotor, which alone is judged here", (int)rw_parameter_of(log, "CA_AIRFRAME", 0.0));
+        return rw_refuse(log, "CA_AIRFRAME %d is not a plain multirotor, which alone is assessed here", (int)rw_parameter_of(log, "CA_AIRFRAME", 0.0));
     for (int i = 0; i < n; i++) {
         const double moment = rotor_parameter(log, i, "KM");
         x[i] = rotor_parameter(log, i, "PX"), y[i] = rotor_parameter(log, i, "PY"), z[i] = rotor_parameter(log, i, "PZ");

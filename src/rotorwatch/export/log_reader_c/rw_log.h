@@ -1,6 +1,6 @@
 /* Flight logs of PX4 (ULog) and ArduPilot (DataFlash) through the diagnoser: a file's bytes in, an answer as JSON out.
 
-     char *answer = rw_judge_log(data, size, "flight.ulg");
+     char *answer = rw_assess_log(data, size, "flight.ulg");
      ... free(answer);
 
    What a log is read for, and how: rotorwatch/logs. Memory comes from malloc, about as much as the file; nothing global changes. */
@@ -15,9 +15,9 @@
 extern "C" {
 #endif
 
-/* The answer to a log: {"verdict": ..., "events": [...], ...}, or {"error": "one sentence"} where it cannot be judged. NULL only where
+/* The answer to a log: {"verdict": ..., "events": [...], ...}, or {"error": "one sentence"} where it cannot be assessed. NULL only where
    there is no memory at all. name: of the file, shown in the answer. The caller frees it. */
-char *rw_judge_log(const uint8_t *data, size_t size, const char *name);
+char *rw_assess_log(const uint8_t *data, size_t size, const char *name);
 
 #ifdef __cplusplus
 }

@@ -39,7 +39,7 @@ int main(int count, char **arguments)
     } while (got);
     failed = ferror(file);
     fclose(file);
-    answer = failed ? NULL : rw_judge_log(data, size, name);
+    answer = failed ? NULL : rw_assess_log(data, size, name);
     free(data);
     if (!answer)
         return refuse(name, failed ? "cannot be read" : "there is not enough memory for this log");

@@ -1,5 +1,5 @@
 /* Whether the outputs are those that flew: of the tests of engine/motion/trust.py and mixing.py, `outputs_that_never_move`,
-   `outputs_at_rest` and `outputs_in_another_order`. Of a log that fails one nothing is judged. */
+   `outputs_at_rest` and `outputs_in_another_order`. Of a log that fails one nothing is assessed. */
 #include "rw_log.h"
 
 #include "rw_tables.h"

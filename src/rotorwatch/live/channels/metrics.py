@@ -93,7 +93,7 @@ class Metrics:
             )
         ]
         events = Gauge("rotorwatch_events", "Active events.", labels=["vehicle", "kind"])
-        ticks = Counter("rotorwatch_ticks_judged", "Assessed ticks.", labels=by_name)
+        ticks = Counter("rotorwatch_ticks_assessed", "Assessed ticks.", labels=by_name)
         taken = Counter("rotorwatch_messages", "Received messages.", labels=by_name)
         lost = Counter("rotorwatch_messages_lost", "Messages missing by their sequence numbers.", labels=by_name)
         share = Gauge("rotorwatch_link_loss", "Share of the messages that were lost on the link.", labels=by_name)

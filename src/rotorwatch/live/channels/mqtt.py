@@ -155,5 +155,5 @@ def state(known: Snapshot) -> dict[str, Any]:
     """The state of a vehicle, as published."""
     rotors = [{"rotor": k, "loss": loss, "lower": low, "upper": high} for k, (loss, low, high) in enumerate(known.rotors, 1)]
     events = [event.to_dict() for event in known.events]
-    counts = {"ticks_judged": known.ticks, "messages": known.taken, "messages_lost": known.lost}
+    counts = {"ticks_assessed": known.ticks, "messages": known.taken, "messages_lost": known.lost}
     return {"vehicle": known.name, "state": known.state, "blind": known.blind, "rotors": rotors, "events": events, **counts}

@@ -48,7 +48,7 @@ def statuses(known: Snapshot) -> list[Status]:
     level = ERROR if lost or known.state == "FAULT" else WARN if known.state == "MAYBE" else OK if known.state == "OK" else STALE
     words = [view.words(event) for event in known.lasting]
     message = "; ".join(words) or known.blind or known.state.lower()
-    counts = {"messages": known.taken, "messages_lost": known.lost, "ticks_judged": known.ticks}
+    counts = {"messages": known.taken, "messages_lost": known.lost, "ticks_assessed": known.ticks}
     values = {"state": known.state, "blind": known.blind, "events": len(known.events), **counts}
     found = [Status(f"rotorwatch: {known.name}", level, message, {name: str(value) for name, value in values.items()})]
     return found + [_rotor(known, number, *sizes) for number, sizes in enumerate(known.rotors, 1)]
@@ -59,7 +59,7 @@ def _rotor(known: Snapshot, number: int, loss: float, lower: float, upper: float
 
     values = {"rotor": str(number), "loss": f"{loss:.4f}", "loss_lower": f"{lower:.4f}", "loss_upper": f"{upper:.4f}"}
     suspected = [event for event in known.lasting if number in event.suspects]
-    level, message = (OK, "no loss found") if known.judged else (STALE, known.blind or "not assessed")
+    level, message = (OK, "no loss found") if known.assessed else (STALE, known.blind or "not assessed")
     for event in sorted(suspected, key=lambda event: not event.alternatives):
         level, message = WARN if event.alternatives else ERROR, view.words(event)
         low, high = event.interval[event.rotors.index(number)] if number in event.rotors and event.interval else (math.nan, math.nan)

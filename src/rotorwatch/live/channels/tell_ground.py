@@ -149,6 +149,6 @@ def states(known: Snapshot, status: dict[str, Any] | None) -> list[Any]:
     present, enabled, health = (status[name] for name in SENSORS)
     if known.faulty:
         present, enabled, health = present | MOTOR_OUTPUTS, enabled | MOTOR_OUTPUTS, health & ~MOTOR_OUTPUTS
-    elif known.judged and not enabled & MOTOR_OUTPUTS:  # else the autopilot says itself whether they are fine
+    elif known.assessed and not enabled & MOTOR_OUTPUTS:  # else the autopilot says itself whether they are fine
         present, enabled, health = present | MOTOR_OUTPUTS, enabled | MOTOR_OUTPUTS, health | MOTOR_OUTPUTS
     return [beat, outgoing("SYS_STATUS", **{**status, **dict(zip(SENSORS, (present, enabled, health)))})]

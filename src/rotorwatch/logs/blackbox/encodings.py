@@ -173,7 +173,7 @@ def elias(data: Bytes, bit: int, out: Ints, place: int, encoding: int) -> int:
         length = 31
     value = shift32(1, length) | _bits(data, bit, length)
     bit += length
-    if value == -1:  # an escape for two numbers, told apart by one bit
+    if value == -1:  # an escape for two numbers, distinguished by one bit
         value = sum32(value, _bits(data, bit, 1))
         bit += 1
     value = sum32(value, -1)

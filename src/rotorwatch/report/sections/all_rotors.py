@@ -21,7 +21,7 @@ def words(data: str) -> list[str]:
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """The shared change in thrust command; empty where it was not judged."""
+    """The shared change in thrust command; empty where it was not assessed."""
     facts = diagnosis.common_mode
     shift = facts.get("thrust_shift")
     if shift is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorwatch.flight.diagnosis import Diagnosis, Trace
 from rotorwatch.report.axes import flight_range
-from rotorwatch.report.figures import Series, followed, judged
+from rotorwatch.report.figures import Series, assessed, followed
 
 name, title, order = "attitude", "Attitude: setpoint and actual", 150
 views = ("page",)
@@ -18,7 +18,7 @@ def data(diagnosis: Diagnosis) -> Diagnosis | None:
     """None where the trace has no attitude."""
     trace = diagnosis.trace
     there = trace is not None and (trace.attitude is not None or trace.wanted is not None)
-    return judged(diagnosis) if there else None
+    return assessed(diagnosis) if there else None
 
 
 def words(data: Diagnosis) -> list[str]:

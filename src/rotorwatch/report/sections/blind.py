@@ -1,4 +1,4 @@
-"""Times without a judgement, and why."""
+"""Times without an assessment, and why."""
 
 from __future__ import annotations
 

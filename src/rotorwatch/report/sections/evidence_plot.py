@@ -10,7 +10,7 @@ from rotorwatch.flight.diagnosis import Diagnosis, Trace
 from rotorwatch.report import colours
 from rotorwatch.report.axes import blank, flight_range, hover
 from rotorwatch.report.colours import INK
-from rotorwatch.report.figures import Series, hypotheses, judged
+from rotorwatch.report.figures import Series, assessed, hypotheses
 from rotorwatch.report.thinning import airborne
 
 name, title, order = "evidence", "Evidence", 130
@@ -20,7 +20,7 @@ COLUMNS = 1  # of the legend: a phone is not wide enough for two
 
 def data(diagnosis: Diagnosis) -> Diagnosis | None:
     """None for a method without evidence over time."""
-    return judged(diagnosis) if hypotheses(diagnosis) else None
+    return assessed(diagnosis) if hypotheses(diagnosis) else None
 
 
 def words(data: Diagnosis) -> list[str]:

@@ -29,7 +29,7 @@ def summary(data: Diagnosis) -> list[Block]:
 
 
 def rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
-    """(rotor, where, grade, trend) of every rotor in words; empty where nothing was judged or control was lost."""
+    """(rotor, where, grade, trend) of every rotor in words; empty where nothing was assessed or control was lost."""
     if all(r.status == "unobservable" for r in diagnosis.rotors) or diagnosis.story:
         return []  # grades and trends of a flight that ended out of control would be of the time before
     rows = [(str(r.rotor), r.place, grade(r), _trend(r)) for r in diagnosis.rotors]
@@ -39,7 +39,7 @@ def rows(diagnosis: Diagnosis) -> list[tuple[str, str, str, str]]:
 def grade(state: RotorState) -> str:
     """A rotor's grade in words: 'worn', 'at most worn', 'weak or critical'; empty where it may be anything."""
     least, _, most = state.grade.partition(" to ")
-    if least == "not judged":
+    if least == "not assessed":
         return ""
     return least if not most else f"at most {most}" if least == SCALE[0][0] else f"{least} or {most}"
 

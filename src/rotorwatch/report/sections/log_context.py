@@ -7,11 +7,11 @@ from typing import Any
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours, lanes, markup, track
 from rotorwatch.report.axes import flight_range
-from rotorwatch.report.figures import judged
+from rotorwatch.report.figures import assessed
 
 name, title, order = "context", "Track, altitude, battery and vibration", 200
 views = ("page",)
-data = judged
+data = assessed
 VIBRATION = (
     "Vibration: standard deviation of the accelerometer over half a second, without the motion (below about 2 Hz), along the body's "
     "axes x (forward), y (right) and z (down)."

@@ -7,11 +7,11 @@ from typing import Any
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours, lanes, markup
 from rotorwatch.report.axes import blank, flight_range, hover
-from rotorwatch.report.figures import Series, highest_loss, judged
+from rotorwatch.report.figures import Series, assessed, highest_loss
 
 name, title, order = "losses", "Loss of each rotor over the flight", 100
 views = ("page",)
-data = judged
+data = assessed
 MARKS = {"mark": "onset", "mark full": "announced", "mark end": "end", "ground": "on the ground", "blind": "blind"}
 
 

@@ -7,14 +7,14 @@ from typing import Any
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours, markup, method_plots
 from rotorwatch.report.axes import flight_range
-from rotorwatch.report.figures import judged
+from rotorwatch.report.figures import assessed
 
 name, title, order = "method", "Estimates of the method", 110
 views = ("page",)
 
 
 def data(diagnosis: Diagnosis) -> Diagnosis | None:
-    return None if diagnosis.own is None else judged(diagnosis)
+    return None if diagnosis.own is None else assessed(diagnosis)
 
 
 def plot(data: Diagnosis) -> dict[str, Any]:

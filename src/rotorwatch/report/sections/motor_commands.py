@@ -7,11 +7,11 @@ from typing import Any
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report import colours
 from rotorwatch.report.axes import blank, flight_range, hover
-from rotorwatch.report.figures import Series, judged
+from rotorwatch.report.figures import Series, assessed
 
 name, title, order = "commands", "Motor commands", 120
 views = ("page",)
-data = judged
+data = assessed
 
 
 def words(data: Diagnosis) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report.axes import flight_range
-from rotorwatch.report.figures import Series, followed, judged
+from rotorwatch.report.figures import Series, assessed, followed
 
 name, title, order = "rates", "Rates: sticks and gyro", 140
 views = ("page",)
@@ -16,7 +16,7 @@ def data(diagnosis: Diagnosis) -> Diagnosis | None:
     """None where the trace has no rates."""
     trace = diagnosis.trace
     there = trace is not None and (trace.rates is not None or trace.rates_wanted is not None)
-    return judged(diagnosis) if there else None
+    return assessed(diagnosis) if there else None
 
 
 def words(data: Diagnosis) -> list[str]:

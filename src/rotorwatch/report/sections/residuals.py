@@ -8,11 +8,11 @@ import numpy as np
 
 from rotorwatch.flight.diagnosis import Diagnosis
 from rotorwatch.report.axes import flight_range, hover, stacked
-from rotorwatch.report.figures import CHANNELS, Series, judged
+from rotorwatch.report.figures import CHANNELS, Series, assessed
 
 name, title, order = "residuals", "Residuals", 160
 views = ("page",)
-data = judged
+data = assessed
 
 
 def words(data: Diagnosis) -> list[str]:

@@ -112,7 +112,7 @@ def _scope(diagnosis: Diagnosis) -> str:
     if all(r.status == "unobservable" for r in diagnosis.rotors):
         return ""
     since = "Changes from take-off until control was lost" if diagnosis.story else "Changes since take-off"
-    if all(r.from_takeoff == "not judged" for r in diagnosis.rotors):
+    if all(r.from_takeoff == "not assessed" for r in diagnosis.rotors):
         more = ", and no loss in this flight" if diagnosis.whole_flight else ""
         needs = f": that needs healthy flights of the same build{more}" if more or BASELINE in diagnosis.advice else ""
         return f"{since}, with 95 % intervals. Damage present at take-off was not assessed{needs}."

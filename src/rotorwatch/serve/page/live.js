@@ -175,12 +175,12 @@ class Card {
 
   rotors(v) {
     if (!this.frame) return;
-    const judged = v.losses !== null; // the last ones, while nothing can be judged
+    const assessed = v.losses !== null; // the last ones, while nothing can be assessed
     const words = [];
     this.frame.rotors.forEach((r, k) => {
       const loss = v.losses ? v.losses[0][k] : 0;
-      const text = judged ? percent(loss) : "?";
-      const status = v.named.includes(r.rotor) ? "degraded" : v.suspects.includes(r.rotor) ? "suspect" : judged ? "healthy" : "unobservable";
+      const text = assessed ? percent(loss) : "?";
+      const status = v.named.includes(r.rotor) ? "degraded" : v.suspects.includes(r.rotor) ? "suspect" : assessed ? "healthy" : "unobservable";
       const { group, lost, loss: label } = this.discs[k];
       mark(group, "class", `rotor ${status}`);
       group.style.setProperty("--rotor", v.looks[k][0]);
@@ -190,8 +190,8 @@ class Card {
       mark(row, "class", status);
       row.style.setProperty("--rotor", v.looks[k][0]);
       say(row.children[2], text);
-      const [lower, upper] = judged ? [v.losses[1][k], v.losses[2][k]] : [0, 0];
-      say(row.children[3], !judged ? "" : upper < 0.005 ? `below ${percent(0.01)}` : `${(100 * lower).toFixed(0)}–${percent(upper)}`);
+      const [lower, upper] = assessed ? [v.losses[1][k], v.losses[2][k]] : [0, 0];
+      say(row.children[3], !assessed ? "" : upper < 0.005 ? `below ${percent(0.01)}` : `${(100 * lower).toFixed(0)}–${percent(upper)}`);
       if (status !== "healthy") words.push(`rotor ${r.rotor}: ${status === "degraded" ? `lost ${text}` : status}`);
     });
     say(this.maptitle, `Airframe from above: ${this.frame.name}${words.length ? `; ${words.join(", ")}` : ""}`);
@@ -232,18 +232,18 @@ class Card {
 
   bands(v) {
     if (!this.frame || !this.lines.length) return;
-    const judged = this.points.filter((p) => p.length > 1);
-    this.chart.hidden = judged.length < 2;
-    if (judged.length < 2) return;
+    const assessed = this.points.filter((p) => p.length > 1);
+    this.chart.hidden = assessed.length < 2;
+    if (assessed.length < 2) return;
     const width = Math.max(this.chart.clientWidth, 200);
     mark(this.lines[0][0].ownerSVGElement, "viewBox", `0 0 ${width} ${HEIGHT}`);
     const start = this.points[0][0], end = Math.max(v.now ?? 0, start + 10);
-    const most = judged.reduce((top, p) => Math.max(top, ...p[1], ...p[3].map((x) => Math.min(x, 0.3))), 0.1);
+    const most = assessed.reduce((top, p) => Math.max(top, ...p[1], ...p[3].map((x) => Math.min(x, 0.3))), 0.1);
     const top = most > 0.5 ? 1 : most > 0.2 ? 0.5 : 0.2;
     const x = (t) => LEFT + ((t - start) / (end - start)) * (width - LEFT - RIGHT);
     const y = (loss) => HEIGHT - BOTTOM - (Math.min(loss, top) / top) * (HEIGHT - BOTTOM - TOP);
     const at = (p, value) => `${x(p[0]).toFixed(1)} ${y(value).toFixed(1)}`;
-    const runs = []; // stretches that were judged
+    const runs = []; // stretches that were assessed
     for (const p of this.points) {
       if (p.length === 1) runs.push([]);
       else (runs.length ? runs[runs.length - 1] : (runs.push([]), runs[0])).push(p);
@@ -268,7 +268,7 @@ class Card {
     this.marks.replaceChildren(
       ...v.events.filter((e) => e.onset_s >= start).map((e) => draw("line", { class: e.kind, x1: x(e.onset_s), x2: x(e.onset_s), y1: TOP, y2: HEIGHT - BOTTOM })),
     );
-    const latest = judged[judged.length - 1];
+    const latest = assessed[assessed.length - 1];
     const highest = latest[1].indexOf(Math.max(...latest[1]));
     say(this.charttitle, `Loss of each rotor from ${start.toFixed(0)} to ${end.toFixed(0)} s; the largest now is ${percent(latest[1][highest])}, of rotor ${highest + 1}`);
   }

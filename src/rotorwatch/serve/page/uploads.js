@@ -88,7 +88,7 @@ function upload(file, item, text) {
       if (event.lengthComputable) bar.value = event.loaded / event.total;
       if (event.loaded === event.total) {
         bar.removeAttribute("value");
-        say(text, "judging");
+        say(text, "assessing");
       } else say(text, `sending, ${percent(event.loaded / event.total)}`);
     });
     request.addEventListener("loadend", () => {

@@ -9,9 +9,9 @@ the specific unbalance of ISO 21940-11, of the whole vehicle: it needs no mass, 
 acceleration over w^2 [1e-6 rad], which compares between the rotors and the flights of one vehicle alone.
 
 A figure is the mean square over the windows in which the rotor turns near its usual speed (a frame's resonance changes the gain with speed)
-and can be told apart from the others. Windows that are noisier than usual weigh less, and a square beyond FAR times the usual one counts as
-that: a knock is no unbalance. (A median would be too low where noise is as large as the tone: the squares are skewed.) The interval is that
-of the mean, for so many independent windows as the correlation of neighbours leaves.
+and can be distinguished from the others. Windows that are noisier than usual weigh less, and a square beyond FAR times the usual one counts
+as that: a knock is no unbalance. (A median would be too low where noise is as large as the tone: the squares are skewed.) The interval is
+that of the mean, for so many independent windows as the correlation of neighbours leaves.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _chosen(
     trial: Callable[[float, int, float], Windows | None], usual: np.ndarray, sure: np.ndarray, longer: Sequence[float]
 ) -> tuple[tuple[int, int], float] | None:
     """(orders, length s of the windows) that suit rotors of usual speeds (R,), by fits of a few windows, `longer` times as long as
-    usual; None where none is whole. sure (R,): the rotors that are to be told apart."""
+    usual; None where none is whole. sure (R,): the rotors that are to be distinguished."""
     shortest = max(orders.WINDOW_S, orders.TURNS * 2.0 * np.pi / float(usual.min()))
     tried: list[tuple[float, float, Windows]] = []
     for factor in longer:

@@ -29,7 +29,7 @@ from rotorwatch.base.arrays import median
 WINDOW_S, TURNS = 0.15, 15.0  # a window: this long, and at least so many turns of the slowest rotor
 MOTION_HZ = 10.0
 NEIGHBOURS = (-2.5, -1.5, 1.5, 2.5)  # resolutions 1/T
-STANDING = 125.0  # rad/s; below 20 turns a second a tone cannot be told from motion
+STANDING = 125.0  # rad/s; below 20 turns a second a tone cannot be distinguished from motion
 LONGEST = 1.5  # typical sampling intervals: a longer one is a gap
 SPEED_GAP_S = 0.125  # between two reports of a speed, to integrate it
 MOST = 240  # windows of a flight, spread over it: enough for an interval of a tenth, within a tenth of a second

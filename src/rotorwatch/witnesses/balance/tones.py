@@ -127,7 +127,7 @@ class _Search:
         d = np.interp(self.time, self.knots, self.common)[:, None]
         speed = 2.0 * np.pi * self.hz * np.exp(self.curve * self.at(self.time, self.log) + self.gains + d)
         usual = np.abs(self.gains - np.median(self.gains)) < OUTSIDE * SPREAD
-        return Followed(speed, usual & self.told_apart(w._replace(offsets=self.steps(w, 0.08))))
+        return Followed(speed, usual & self.distinguished(w._replace(offsets=self.steps(w, 0.08))))
 
     def steps(self, w: _Windows, span: float) -> np.ndarray:
         """Offsets of gains in quarters of what a window resolves."""
@@ -276,7 +276,7 @@ class _Search:
         self.curve = float(np.clip(self.curve + step[-2], *CURVES))
         self.delayed(self.lag + step[-1] / self.curve)
 
-    def told_apart(self, w: _Windows) -> np.ndarray:
+    def distinguished(self, w: _Windows) -> np.ndarray:
         """(R,) whether no other rotor's command predicts a rotor's tone as well."""
         tones, everyone = self.tones(w), range(self.rotors)
         middle = w.offsets.size // 2

@@ -133,7 +133,7 @@ class Follower:
             usual = self._roots / np.maximum(self._count, 1.0)
             turning = known & (speed > OTHERS_TURN * predicted)
             fine = known & moved & (root > DRIVEN * usual) & (turning.sum(axis=1, keepdims=True) - turning >= 2)
-            left = self._judged(time, seconds, r, sd, fine)
+            left = self._assessed(time, seconds, r, sd, fine)
             weight = weight * np.minimum(1.0, (OUTSIDE * sd / np.maximum(np.abs(r), 1e-9)) ** 2)
         weight[:, list(self.gone)] = 0.0
         if time[-1] - self._begun > SETTLES_S:
@@ -171,7 +171,7 @@ class Follower:
         """(n,) speed for each root of thrust."""
         return np.sqrt(self._square / np.maximum(self._gram[0, :, 1, 1], 1e-12))
 
-    def _judged(self, time, seconds, r, sd, fine) -> list[Departure]:
+    def _assessed(self, time, seconds, r, sd, fine) -> list[Departure]:
         out = fine & (np.abs(r) > SIGMAS * sd) & (np.abs(r) > np.where(r < 0.0, DOWN, UP))
         left = []
         if out.any() or self._run.any() or self.gone:
@@ -271,15 +271,15 @@ def sooner(event: Event, left: Sequence[Departure]) -> Event:
     stands = first.ratio < STOPPED and abs(event.onset_s - first.onset) < AT_ONCE_S and all(d.rotor + 1 != named for d in near)
     if first.certain > event.detected_s or not (who in event.suspects or stands):
         return event
-    told = f"from {seconds(first.onset)} on the ESC of rotor {who} shows a speed {in_words(first)}"
+    reported = f"from {seconds(first.onset)} on the ESC of rotor {who} shows a speed {in_words(first)}"
     if who not in event.suspects:
-        told += f", while rotor {named} turns as commanded"
+        reported += f", while rotor {named} turns as commanded"
     more = (
         {}
         if (who,) == event.rotors and not event.alternatives
         else {"rotors": (who,), "alternatives": (), "probability": probability_of(first.sigmas)}
     )
-    reason = f"{event.reason.removesuffix('.')}; {told}"
+    reason = f"{event.reason.removesuffix('.')}; {reported}"
     if event.kind == LOST:  # which comes later
         return replace(event, reason=reason, **more) if more else event
     onset = min(max(event.onset_s, first.onset - LEAVES_S), first.onset)

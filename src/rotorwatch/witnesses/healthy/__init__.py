@@ -93,7 +93,7 @@ def _flights(view: View) -> tuple[Event, ...]:
 
     features = whole_flight.features(view.flight, view.vehicle, view.air)
     baseline = [whole_flight.Features.from_dict(f) for f in stored]
-    view.facts["whole_flight"] = found = whole_flight.judge(features, baseline, view.vehicle, view.said(None)).to_dict()
+    view.facts["whole_flight"] = found = whole_flight.assess(features, baseline, view.vehicle, view.said(None)).to_dict()
     return from_takeoff.claims(found, from_takeoff.FLIGHTS, view.air)
 
 
@@ -105,7 +105,7 @@ def _vehicles(view: View) -> tuple[Event, ...]:
 
     upset = view.table.time[view.table.upset & (view.table.mode > GROUND)]
     undisturbed_s = min([np.inf, *(e.onset_s for e in view.events), *upset[:1]])  # earlier it was there from take-off
-    found = population.judge(view.flight, view.vehicle, view.air, undisturbed_s, view.said(None))
+    found = population.assess(view.flight, view.vehicle, view.air, undisturbed_s, view.said(None))
     return from_takeoff.claims(found, from_takeoff.VEHICLES, view.air)
 
 

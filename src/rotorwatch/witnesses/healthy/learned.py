@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorwatch.engine.bindings.learning import learn
 from rotorwatch.flight.vehicle import Vehicle
-from rotorwatch.witnesses.aerobatic import judge as aerobatic
+from rotorwatch.witnesses.aerobatic import assess as aerobatic
 from rotorwatch.witnesses.healthy import whole_flight
 
 if TYPE_CHECKING:

@@ -46,7 +46,7 @@ MOST = 0.9
 FEW = 4  # rotors, up to which a flight may lean to one
 
 
-def judge(
+def assess(
     flight: Flight, vehicle: Vehicle, air: Sequence[tuple[float, float]], until: float = np.inf, said: np.ndarray | float = 0.0
 ) -> dict | None:
     """Evidence of damage present at take-off, from the steady part of the flight before `until` [s]; None where that is too short or where

@@ -314,7 +314,7 @@ def _covariance_of_mean(rest: np.ndarray) -> np.ndarray:
 # Against the baseline
 
 
-def judge(flight: Features, baseline: Sequence[Features], vehicle: Vehicle, said: np.ndarray | float = 0.0) -> WholeFlight:
+def assess(flight: Features, baseline: Sequence[Features], vehicle: Vehicle, said: np.ndarray | float = 0.0) -> WholeFlight:
     """Compare this flight's balance with healthy ones, and explain a difference.
 
     baseline: one or more healthy flights of the same build. said (n,): log-odds by which others testify to a loss of each rotor's thrust,

@@ -60,7 +60,7 @@ LEVEL_DEG = 40.0
 TRIM = 0.1  # arm lengths: healthy vehicles are commanded less of roll and pitch in calm flight (witnesses/healthy/population.py, 95 %)
 
 
-class Judged(NamedTuple):
+class Assessed(NamedTuple):
     """A loss of control with its cause. explanations with their probabilities, () where the log shows too little; window; onset [s];
     evidence: sentences; commanded: time up to which the log holds commands of each rotor, infinite where up to the onset, None where never
     [s]; spin: in which the vehicle flies on, or None."""
@@ -81,15 +81,15 @@ class Judged(NamedTuple):
         return self.left.ground is not None and self.left.ground - self.onset > HIT_S
 
 
-def judged(flight: Flight, vehicle: Vehicle, air, progress: Callable[[float], object] | None = None) -> tuple[Judged, ...]:
+def assessed(flight: Flight, vehicle: Vehicle, air, progress: Callable[[float], object] | None = None) -> tuple[Assessed, ...]:
     """Every loss of control of a flight with its cause. air: intervals ((start, end), ...) s in the air. progress: called with the finished
     share, 0..1."""
-    verdicts = (judge(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
+    verdicts = (assess(flight, vehicle, air, left) for left in loss_of_control.find(flight, air, progress))
     return tuple(verdict._replace(commanded=_commanded(flight, verdict.onset)) for verdict in verdicts)
 
 
 def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
-    """`Judged.commanded`."""
+    """`Assessed.commanded`."""
     if not flight.has("motors"):
         return ()
     motors = flight["motors"].between(-np.inf, onset)
@@ -97,19 +97,19 @@ def _commanded(flight: Flight, onset: float) -> tuple[float | None, ...]:
     return tuple(None if not t.size else np.inf if t[-1] == motors.time[-1] else float(t[-1]) for t in known)
 
 
-def judge(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Judged:
+def assess(flight: Flight, vehicle: Vehicle, air, left: LossOfControl) -> Assessed:
     """One loss of control: its cause, and whether the vehicle flew on."""
     if left.landed:
-        return Judged(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
+        return Assessed(left, "unknown", (), np.empty(0), None, left.onset, ("it had landed before, under control",))
     start = _lift_off(air, left)
-    judged = _judge(flight, vehicle, start, left)
-    spin = spinning.find(flight, vehicle, judged.left, start)
-    if spin is not None and judged.cause in ("controller", "saturated"):  # no command asks for a spin
-        judged = judged._replace(cause="unknown", evidence=())
-    return judged._replace(spin=spin)
+    assessed = _assess(flight, vehicle, start, left)
+    spin = spinning.find(flight, vehicle, assessed.left, start)
+    if spin is not None and assessed.cause in ("controller", "saturated"):  # no command asks for a spin
+        assessed = assessed._replace(cause="unknown", evidence=())
+    return assessed._replace(spin=spin)
 
 
-def follow(flight: Flight, vehicle: Vehicle, air, known: Judged) -> Judged:
+def follow(flight: Flight, vehicle: Vehicle, air, known: Assessed) -> Assessed:
     """A loss of control whose cause is known, with the spin as it looks now."""
     return known._replace(spin=spinning.find(flight, vehicle, known.left, _lift_off(air, known.left), known.spin))
 
@@ -119,10 +119,10 @@ def _lift_off(air, left: LossOfControl) -> float:
     return next((a for a, b in air if a - 1.0 <= left.onset <= b + 1.0), left.onset)
 
 
-def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) -> Judged:
+def _assess(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) -> Assessed:
     got = window_of(flight, vehicle, left, start)
     if got is None:
-        return Judged(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
+        return Assessed(left, "disarmed" if left.falls else "unknown", (), np.empty(0), None, left.onset, ())
     window, offset, onsets, at_take_off, ground = got
     found, probability = explain(window, vehicle.effectiveness(), offset, onsets, at_take_off, battery.sagged(flight, left.onset))
     healthy = next(e for e in found if e.kind == "healthy")
@@ -130,7 +130,7 @@ def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) 
     cause, evidence = _cause(flight, vehicle, start, left, found, probability, window, onset)
     held_by = _kept(window, at_take_off)
     if held_by and cause in ("rotor", ORDER, "knock", "unknown"):
-        return Judged(left, "unknown", (), np.empty(0), None, left.onset, (held_by,))
+        return Assessed(left, "unknown", (), np.empty(0), None, left.onset, (held_by,))
     if cause == "rotor":  # residuals of brisk flight may have strayed before
         onset = min(found[0].onset, left.onset)
     if cause == "controller" and np.abs(offset.mean[:2]).max() > TRIM * len(vehicle.rotors):
@@ -140,8 +140,8 @@ def _judge(flight: Flight, vehicle: Vehicle, start: float, left: LossOfControl) 
     if cause in ("rotor", "unknown") and not at_take_off:
         rotor = next(e for e in found if e.kind == "rotor")
         if pushed := _pushed_up(flight, window, rotor, onset):
-            return Judged(left, "unknown", (), np.empty(0), None, onset, (pushed,))
-    return Judged(left, cause, found, probability, window, onset, evidence)
+            return Assessed(left, "unknown", (), np.empty(0), None, onset, (pushed,))
+    return Assessed(left, cause, found, probability, window, onset, evidence)
 
 
 def _kept(window: Window, at_take_off: bool) -> str:
@@ -262,12 +262,12 @@ def _strays(window: Window, residual: np.ndarray, onset: float) -> float:
     return first
 
 
-def spins(found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
+def spins(found: Sequence[Assessed]) -> tuple[tuple[float, float], ...]:
     """((start, end), ...) s in which the vehicle spins and flies on."""
     return tuple((j.spin.since, j.spin.until) for j in found if j.spin is not None)
 
 
-def until_impact(flight: Flight, air, found: Sequence[Judged]) -> tuple[tuple[float, float], ...]:
+def until_impact(flight: Flight, air, found: Sequence[Assessed]) -> tuple[tuple[float, float], ...]:
     """`loss_of_control.until_impact` for losses of control whose onset is known. What strikes a vehicle that spins on is no end of it, and
     the hover model no longer holds."""
     left = (j.left if j.spin is None else j.left._replace(impact=None, end=None) for j in found)

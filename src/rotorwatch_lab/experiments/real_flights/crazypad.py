@@ -1,6 +1,6 @@
 """CrazyPAD: a Crazyflie 2.1 hovering with whole, cut and taped propellers, and with weights (motor_data, 25 s each).
 
-Folders name the propellers and how much is cut from each blade (47 mm long). Each flight is judged against the normal flights of the same
+Folders name the propellers and how much is cut from each blade (47 mm long). Each flight is assessed against the normal flights of the same
 vehicle (E8 or E9). Two vehicles' logs in cut_propeller_M3_2mm and .._3mm are of another kind, by mistake, and are left out.
 """
 

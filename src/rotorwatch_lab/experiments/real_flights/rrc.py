@@ -1,7 +1,7 @@
 """A quadrotor X on ArduCopter 4.1.3 with one propeller cut by 5 to 25 mm, hovering and flying straight lines; three flights each.
 
-The rotor is not named: that the mean output of rotor 1 rises with the depth of the cut says which one. Each flight is judged twice: alone,
-and against the flights with good propellers of the same kind (a good one against the other two).
+The rotor is not named: that the mean output of rotor 1 rises with the depth of the cut says which one. Each flight is assessed twice:
+alone, and against the flights with good propellers of the same kind (a good one against the other two).
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Comparison of all estimators on the same flights, the default method among them.
 
-Each flight becomes ticks once. The default method judges them on its own plant, a published one as `published.judge` runs it;
+Each flight becomes ticks once. The default method assesses them on its own plant, a published one as `published.assess` runs it;
 events are read the same way from both. Per estimator and group of flights:
 
     loss_rmse      of the faulty rotors from 2 s after the onset on, 0 where nothing was announced
     delay_s        median of onset to the first event that names the rotor
     right          share of faults whose first event names exactly these rotors;  named: or names them among alternatives
-    false_alarms_h events before the onset or of other rotors, per hour judged
+    false_alarms_h events before the onset or of other rotors, per hour assessed
     coverage       share of right events whose 95 % interval holds the loss
-    p              of Wilcoxon's signed-rank test in pairs: mean error of all rotors' losses in each BLOCK_S of judged flight against that
+    p              of Wilcoxon's signed-rank test in pairs: mean error of all rotors' losses in each BLOCK_S of assessed flight against that
                    of the first in the table; small where the two differ by more than chance. Blocks are taken as independent
     us_per_step    microseconds of one step of a quad in a compiled scan, best of three
 """
@@ -23,7 +23,7 @@ import numpy as np
 
 from rotorwatch.base import discovery
 from rotorwatch.errors import ConfigError
-from rotorwatch.toolkit import JUDGE, Estimated, estimated, program
+from rotorwatch.toolkit import ASSESS, Estimated, estimated, program
 from rotorwatch_lab.compiling.run import chosen, run
 from rotorwatch_lab.experiments import counting, tools
 from rotorwatch_lab.experiments.studies.compare_flights import Scene
@@ -134,20 +134,20 @@ def _trial(name: str, scene: Scene) -> dict:
     if name == "default":
         estimate = estimated(scene.ready)
     else:
-        out, _ = published.judge(name, table, scene.B, hops=scene.hops)
+        out, _ = published.assess(name, table, scene.B, hops=scene.hops)
         estimate = Estimated(table, out, default=False, own_limit=decide.LIMIT)
     raised, out = counting.alarms(scene.ready.by(estimate).answer().end.events), estimate.out
-    judging = table.mode == JUDGE
+    assessing = table.mode == ASSESS
     rotors = tuple(sorted(r for r, _, _ in scene.faults))
     onset = min((t for _, t, _ in scene.faults), default=np.inf)
     counted = counting.count(raised, rotors, onset)
     trial: dict[str, Any] = {
-        "judged_s": float(judging.sum() * table.dt), "fault": bool(scene.faults),
-        "false_alarms": len(counted.false) + len(counted.wrong), "blocks": _blocks(scene, out.theta, judging & ~table.upset),
+        "assessed_s": float(assessing.sum() * table.dt), "fault": bool(scene.faults),
+        "false_alarms": len(counted.false) + len(counted.wrong), "blocks": _blocks(scene, out.theta, assessing & ~table.upset),
     }  # fmt: skip
     if not scene.faults:
         return trial
-    late = judging & (table.time > onset + SETTLED_S) & ~table.upset
+    late = assessing & (table.time > onset + SETTLED_S) & ~table.upset
     error = np.concatenate([out.theta[late, r - 1] - loss for r, _, loss in scene.faults])
     trial["square"] = float(np.mean(error**2)) if error.size else None
     if counted.found:
@@ -158,16 +158,16 @@ def _trial(name: str, scene: Scene) -> dict:
     return trial
 
 
-def _blocks(scene: Scene, theta: np.ndarray, judged: np.ndarray) -> list[float]:
-    """Mean absolute error of the losses theta (T, n) in each BLOCK_S of the judged ticks (T,); a block without any is left out. The
+def _blocks(scene: Scene, theta: np.ndarray, assessed: np.ndarray) -> list[float]:
+    """Mean absolute error of the losses theta (T, n) in each BLOCK_S of the assessed ticks (T,); a block without any is left out. The
     SETTLED_S after an onset do not count: they are the delay's."""
     time, true = scene.ticks.time, np.zeros(theta.shape)
     for rotor, onset, loss in scene.faults:
         true[time >= onset, rotor - 1] = loss
-        judged = judged & ~((time >= onset) & (time < onset + SETTLED_S))
+        assessed = assessed & ~((time >= onset) & (time < onset + SETTLED_S))
     block = np.floor(time / BLOCK_S)
     error = np.abs(theta - true).mean(axis=1)
-    return [float(error[here].mean()) for k in np.unique(block[judged]) if (here := judged & (block == k)).any()]
+    return [float(error[here].mean()) for k in np.unique(block[assessed]) if (here := assessed & (block == k)).any()]
 
 
 def _row(trials: list[dict]) -> dict:
@@ -176,7 +176,7 @@ def _row(trials: list[dict]) -> dict:
     delays = [t["delay_s"] for t in faulty if "delay_s" in t]
     squares = [t["square"] for t in faulty if t["square"] is not None]
     covered = [t["covered"] for t in faulty if "covered" in t]
-    hours = sum(t["judged_s"] for t in trials) / 3600.0
+    hours = sum(t["assessed_s"] for t in trials) / 3600.0
 
     def share(key):
         return float(np.mean([t.get(key, False) for t in faulty])) if faulty else None

@@ -41,7 +41,7 @@ def thrust_of_speed(flight: Flight, vehicle: Vehicle, air) -> Signal:
     return Signal(esc.time - LATE_S, scale * square, commanded.columns, "1", "body", esc.source, speed.valid)
 
 
-def judged(flight: Flight, view: str) -> tuple[Event, ...]:
+def assessed(flight: Flight, view: str) -> tuple[Event, ...]:
     """The default method's losses in one view of a flight."""
     vehicle, _, _ = baselines.settle(flight, None, (), diagnose)
     air, B = airborne(flight), vehicle.effectiveness()
@@ -75,7 +75,7 @@ def rows(repeats: int, cases: Sequence[tuple[str | None, float]] = CASES) -> lis
         for autopilot, frame, seed in itertools.product(("ardupilot", "px4"), ("quad-x", "hexa-x"), range(1, repeats + 1)):
             flight = flown(kind, strength, wind, expo, autopilot, frame, seed)
             for view in VIEWS:
-                cells[view].append(judged(flight, view))
+                cells[view].append(assessed(flight, view))
         for view, answers in cells.items():
             right = [next((e for e in answer if e.rotors == (ROTOR,)), None) for answer in answers]
             hits = [e for e in right if e is not None and kind]

@@ -12,7 +12,7 @@ A healthy flight is split, axis by axis, into what its motion explains and what 
     mirrors   signs of roll, pitch and yaw are drawn at random, each in torque, rate and acceleration alike
 
 Mean and trend are kept; rotor thrusts follow from the wrench, T = B^+ y. What surrogates cannot show is a single event
-whose shape matters, a hard turn say. Therefore every flight is also judged as it was flown, take-off included, and with
+whose shape matters, a hard turn say. Therefore every flight is also assessed as it was flown, take-off included, and with
 its yaw mirrored (on a quad, all other mirror images are one of these two with the rotors renumbered).
 """
 
@@ -33,8 +33,8 @@ from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.vehicle import Vehicle
 from rotorwatch.toolkit import (
+    ASSESS,
     HOVER_LEARN_S,
-    JUDGE,
     LAG_S,
     LEARN,
     Ticks,
@@ -52,7 +52,7 @@ from rotorwatch_lab.experiments.inject import ready_s
 
 PROMISED_PER_HOUR = 0.1
 FLIGHT_S = 100.0  # length of a surrogate flight, roughly: as short as flights are, each starts without knowledge
-SHORTEST_S = 20.0  # of a healthy flight's judged part that surrogates can be made from
+SHORTEST_S = 20.0  # of a healthy flight's assessed part that surrogates can be made from
 TOUCHDOWN_S = 2.0  # before the end of a hop: cut throttle is no noise
 JOIN_S, TREND_S, ACTIVITY_S = 2.0, 2.0, 8.0
 GAP_TICKS = 3  # missing ticks in a row that are bridged by a straight line
@@ -64,7 +64,7 @@ SHIFTS = (-4.0, -2.0, 0.0, 2.0, 4.0)  # nats added to the threshold
 
 @dataclass(frozen=True)
 class Source:
-    """A healthy flight to make surrogates from, T ticks of its longest judged stretch.
+    """A healthy flight to make surrogates from, T ticks of its longest assessed stretch.
 
     table: all of its ticks. slow, fast (T, 13): residuals e of roll, pitch, yaw, thrust; rates; angular accelerations;
     load; side forces: all without their means, e without its trend, fast divided by activity (T,). level (13,): the means; slope
@@ -92,7 +92,7 @@ def source(flight: Flight, vehicle: Vehicle) -> Source:
     part = _longest(table, air) if table is not None else slice(0, 0)
     if table is None or (part.stop - part.start) * table.dt < SHORTEST_S:
         name = flight.name or "the flight"
-        raise ConfigError(f"{name} has no {SHORTEST_S:.0f} s of judged flight without gaps to make surrogates from; leave it out.")
+        raise ConfigError(f"{name} has no {SHORTEST_S:.0f} s of assessed flight without gaps to make surrogates from; leave it out.")
     n = table.thrust.shape[1]
     known = np.asarray(table.valid[part, :3].all(axis=1))
     y, rate, rate_dot, load = (_bridged(v[part], known) for v in (table.wrench, table.rate, table.rate_dot, table.load[:, None]))
@@ -150,9 +150,9 @@ def _bridged(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def _longest(table: Ticks, air) -> slice:
-    """The longest stretch of judged ticks, touch-down left out, with torque measured but for short gaps."""
+    """The longest stretch of assessed ticks, touch-down left out, with torque measured but for short gaps."""
     aloft = allocation.within(table.time, tuple((start, end - TOUCHDOWN_S) for start, end in air))
-    known = np.flatnonzero((table.mode == JUDGE) & table.valid[:, :3].all(axis=1) & aloft)
+    known = np.flatnonzero((table.mode == ASSESS) & table.valid[:, :3].all(axis=1) & aloft)
     good = np.zeros(len(table.time) + 2, bool)
     good[known + 1] = True
     for k in np.flatnonzero((np.diff(known) > 1) & (np.diff(known) <= GAP_TICKS + 1)):
@@ -210,7 +210,7 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
     wrench = (source.gains * _regressors(rate, rate_dot, load, side, n)).sum(axis=2) + drift + e
     learning = ready_s(source.vehicle) - HOVER_LEARN_S
     time = dt * np.arange(count)
-    accelerometer = bool(np.median(source.table.valid[source.table.mode == JUDGE, 3]))
+    accelerometer = bool(np.median(source.table.valid[source.table.mode == ASSESS, 3]))
     table = Ticks(
         time,
         time - LAG_S - 0.5 * dt,
@@ -220,9 +220,9 @@ def surrogate(source: Source, rng: np.random.Generator, flight_s: float = FLIGHT
         rate_dot,
         load[:, 0],
         (rng.random(count) >= source.missing)[:, None] & [True, True, True, accelerometer],
-        np.where(time < learning, LEARN, JUDGE).astype(np.int32),
+        np.where(time < learning, LEARN, ASSESS).astype(np.int32),
         np.arange(count) == 0,
-        np.full(count, float(np.median(source.table.hover[source.table.mode == JUDGE]))),
+        np.full(count, float(np.median(source.table.hover[source.table.mode == ASSESS]))),
         dt,
         np.zeros(count, bool),
         side=side,
@@ -257,11 +257,11 @@ def false_alarms(
     scheduler: str | None = None,
     keep: str | PathLike | None = None,
 ) -> dict[str, Any]:
-    """Judge `hours` of surrogate flights of healthy ones with the default diagnoser, and count its false alarms.
+    """Assess `hours` of surrogate flights of healthy ones with the default diagnoser, and count its false alarms.
 
     The answer, every rate per flight hour with its exact 95 % Poisson interval (low, high):
 
-    total       flights, hours judged, alarms (all events of all flights), rate, low, high; promised: the stated rate
+    total       flights, hours assessed, alarms (all events of all flights), rate, low, high; promised: the stated rate
     table       the same for each healthy flight that surrogates were made of
     thresholds  for a threshold `shift` nats higher: first_alarms of a flight and the hours up to them
     flown       the healthy flights themselves, as flown and with yaw mirrored: few hours, but real ones
@@ -283,7 +283,7 @@ def false_alarms(
 
     def finished(count: int) -> None:
         if progress and several:
-            progress(count / len(paths), "judging surrogates")
+            progress(count / len(paths), "assessing surrogates")
 
     def report(i: int, share: float, name: str) -> None:
         if progress:
@@ -335,13 +335,13 @@ def _surrogates(
     while row["hours"] < hours:
         table = surrogate(origin, rng, flight_s)
         found, out = losses(table, origin.vehicle)
-        judged_h = _hours(table)
-        row |= {key: row[key] + more for key, more in (("flights", 1), ("hours", judged_h), ("alarms", len(found)))}
+        assessed_h = _hours(table)
+        row |= {key: row[key] + more for key, more in (("flights", 1), ("hours", assessed_h), ("alarms", len(found)))}
         alarms += [_line(flight.name, f"surrogate {row['flights']}", e) for e in found]
-        evidence["surrogates"] += _peaks(out, table.mode == JUDGE, table.dt)
+        evidence["surrogates"] += _peaks(out, table.mode == ASSESS, table.dt)
         for shift, first in _first_alarms(table, origin.vehicle, out).items():
             count, upto = firsts[shift]
-            upto += judged_h if first is None else max(0.0, first) / 3600.0
+            upto += assessed_h if first is None else max(0.0, first) / 3600.0
             firsts[shift] = count + (first is not None), upto
         if report:
             report(min(1.0, row["hours"] / hours), flight.name)
@@ -363,7 +363,7 @@ def describe(result: dict[str, Any]) -> str:
     def line(name, count, hours, r):
         return f"{name[:30]:<30} {hours:7.2f} h {count:6d}   {r['rate']:7.2f}   {r['low']:7.2f} to {r['high']:.2f}"
 
-    head = f"{'':<30} {'judged':>9} {'alarms':>6} {'per hour':>9}   95 % interval"
+    head = f"{'':<30} {'assessed':>9} {'alarms':>6} {'per hour':>9}   95 % interval"
     total, flown = result["total"], result["flown"]
     lines = [f"False alarms on surrogates of healthy flights (promised: {total['promised']} per hour)", "", head]
     lines += [line(r["flight"], r["alarms"], r["hours"], r) for r in result["table"]]
@@ -387,7 +387,7 @@ def _peaks(out, inside: np.ndarray, dt: float) -> list[float]:
 
 
 def _hours(table: Ticks) -> float:
-    return float((table.mode == JUDGE).sum() * table.dt / 3600.0)
+    return float((table.mode == ASSESS).sum() * table.dt / 3600.0)
 
 
 def _rate(count: int, hours: float) -> dict:
@@ -409,11 +409,11 @@ def _line(name: str, what: str, e) -> dict:
 
 
 def _first_alarms(table: Ticks, vehicle: Vehicle, out) -> dict[float, float | None]:
-    """Seconds of judged flight up to the first alarm, None without one, for each of SHIFTS."""
-    judged_s = np.cumsum(table.mode == JUDGE) * table.dt
+    """Seconds of assessed flight up to the first alarm, None without one, for each of SHIFTS."""
+    assessed_s = np.cumsum(table.mode == ASSESS) * table.dt
 
     def first(flag) -> float | None:
-        return float(judged_s[np.argmax(flag)]) if flag.any() else None
+        return float(assessed_s[np.argmax(flag)]) if flag.any() else None
 
     result = {}
     for shift in SHIFTS:
@@ -427,7 +427,7 @@ def crossed(table: Ticks, out, shift: float) -> np.ndarray:
     """(T,) bool: the recorded evidence for a fault is above the shifted threshold."""
     hyp = list_hypotheses(out.theta.shape[1])
     evidence = np.logaddexp.reduce(out.log_odds[:, hyp.fault], axis=1)
-    return (evidence > program.threshold(hyp.n, table.dt) + shift) & (table.mode == JUDGE)
+    return (evidence > program.threshold(hyp.n, table.dt) + shift) & (table.mode == ASSESS)
 
 
 def announced(table: Ticks, vehicle: Vehicle, shift: float) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 Every filter gets the same flights (`ruav_flight`) and the same bounds (`ruav_filters`). Sets are run in four forms: as in the paper's
 sources, with the restart that the paper does not have, and in this project's own form with it and without; Kalman filters with a restart
-and without, and the one with a fixed Q with a Q as large as the noise, too. Each claim about filters is judged for each of them.
+and without, and the one with a fixed Q with a Q as large as the noise, too. Each claim about filters is assessed for each of them.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
         if one not in statistics:
             progress(0.5 * k / len(all_runs), f"simulation of figure 5, {name}")
             programs[one] = _program(one)
-            statistics[one] = _judged(programs[one], flights)
+            statistics[one] = _assessed(programs[one], flights)
     results = {name: statistics[one][0] for name, one in all_runs.items()}
     series = {name: statistics[one][1] for name, one in all_runs.items()} | {"truth": flights.theta[0]}
     cost = _microseconds({name: programs[all_runs[name]] for name in TIMED}, flights, progress)
@@ -131,7 +131,7 @@ def _program(run: Run) -> Callable:
     return lambda u, y: [over((), start, *row)[1] for row in zip(u, y, strict=True)]
 
 
-def _judged(program: Callable, flights) -> tuple[dict, dict]:
+def _assessed(program: Callable, flights) -> tuple[dict, dict]:
     """Statistics of one filter over all flights, and one flight's bounds for the picture. restarts: also how often a set that does not
     start again was empty; outgrown_s: when, without any fault, the bounds are first wider than what is KNOWN."""
     z, P, count, q = (np.stack(part) for part in zip(*program(flights.u, flights.y), strict=True))
@@ -181,7 +181,7 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
     def sets(verdict: Callable[[dict, dict, str], Verdict]) -> dict[str, Verdict]:
         return {FORM_LABELS[form]: verdict(both["esmf"], both["aesmf"], form) for form, both in forms.items()}
 
-    def told(text: Callable[[dict, dict], str]) -> str:
+    def reported(text: Callable[[dict, dict], str]) -> str:
         return ruav_filters.by_form({form: text(both["esmf"], both["aesmf"]) for form, both in forms.items()})
 
     kalman = {f"{name.upper()}, {label}": f["kalman"][how][name]["containment"] for name in KALMAN for how, label in RESTARTS.items()}
@@ -208,18 +208,18 @@ def _claims(f) -> tuple[tuple[Claim, ...], dict[str, dict[str, Verdict]]]:
     aukf = cost["aukf/no_restart"] / cost["aekf/no_restart"]
     verdicts["costly_aukf"] = graded(aukf > 2.0, aukf > 1.0)
     words = {
-        "cover": told(lambda e, g: f"{e['containment']:.3f} and {g['containment']:.3f}, half-widths {_size(e)} and {_size(g)}"),
-        "tightest": told(lambda e, g: f"healthy {_size(e, '_healthy')} -> {_size(g, '_healthy')}, after it {_size(e)} -> {_size(g)}"),
+        "cover": reported(lambda e, g: f"{e['containment']:.3f} and {g['containment']:.3f}, half-widths {_size(e)} and {_size(g)}"),
+        "tightest": reported(lambda e, g: f"healthy {_size(e, '_healthy')} -> {_size(g, '_healthy')}, after it {_size(e)} -> {_size(g)}"),
         "kalman": "; ".join(f"{label} {inside:.2f}" for label, inside in kalman.items()),
-        "stable": told(
+        "stable": reported(
             lambda e, g: f"{g['least_q']:.3f}, {g['ellipsoid_healthy']:.2f} and {g['ellipsoid']:.2f}, empty {g['restarts']:.2g} times"
         ),
-        "accuracy": told(lambda e, g: f"{e['error']:.3f} and {g['error']:.3f}" if _tells(e) and _tells(g) else "wider than the prior"),
+        "accuracy": reported(lambda e, g: f"{e['error']:.3f} and {g['error']:.3f}" if _tells(e) and _tells(g) else "wider than the prior"),
         "alike": "; ".join(f"{label} {round(100 * share, 1) + 0.0:+.1f} %" for label, share in apart.items()),
-        "centre": told(lambda e, g: f"{e['off_centre']:.2f} and {g['off_centre']:.2f}"),
+        "centre": reported(lambda e, g: f"{e['off_centre']:.2f} and {g['off_centre']:.2f}"),
         "ratios": {name: value / cost["aekf/no_restart"] for name, value in cost.items()},
     }
-    return reproduction.claims(PAPER, verdicts, f=f, bound=bound, told=words, known=KNOWN), by_form
+    return reproduction.claims(PAPER, verdicts, f=f, bound=bound, reported=words, known=KNOWN), by_form
 
 
 def _covers(one: dict) -> bool:

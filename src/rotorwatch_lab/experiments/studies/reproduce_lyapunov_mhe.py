@@ -79,18 +79,18 @@ def reproduce(seeds: int = SEEDS, literal: tuple[str, ...] = (), progress=silent
         for k, (name, (kind, tuning)) in enumerate(ESTIMATORS.items()):
             progress(0.25 + 0.3 * w + 0.06 * k, f"{name}, {weather}")
             estimator = kind(system, flights.DT, bounds=LOOSE, **tuning, **options)
-            errors[weather][name], taken, trace = judge(estimator, flown[weather])
+            errors[weather][name], taken, trace = assess(estimator, flown[weather])
             if w == 0:
                 cost[name], traces[name] = taken, trace
     progress(0.85, "proximal_flush, capped")
     as_read: dict[str, float] = {}
     if "gyro-at-estimate" in literal:
         estimator = AtEstimate(system, flights.DT, bounds=LOOSE, **options)
-        read, _, trace = judge(estimator, flown["calm"])
+        read, _, trace = assess(estimator, flown["calm"])
         gap = float(np.abs(trace - traces["lyapunov"]).max())
         as_read = {"difference": gap, "rmse": float(read.mean()), "rmse_as_built": float(errors["calm"]["lyapunov"].mean())}
         as_read["bodies_term"] = gyroscopic(system, flown["calm"].omega)
-    capped = judge(MHLyapunov(system, flights.DT, **options), flown["calm"])[0]
+    capped = assess(MHLyapunov(system, flights.DT, **options), flown["calm"])[0]
     progress(0.9, "another solver")
     gap = mhe_vs_nlp(system, flown["calm"])
     numbers: dict[str, Any] = {
@@ -232,7 +232,7 @@ def fly(table: dict, seeds: int, torque_sd: float = 0.0) -> flights.Flight:
     return jax.tree.map(np.asarray, flown)
 
 
-def judge(estimator, flown: flights.Flight):
+def assess(estimator, flown: flights.Flight):
     """(rmse (paths, faults, seeds), microseconds a step, losses of the first seed (paths, faults, T, n)): the error is over rotors, from
     SETTLE_S after the onset. One flight after the other: the moving-horizon estimator solves only where a node is complete."""
     jax = load_jax()

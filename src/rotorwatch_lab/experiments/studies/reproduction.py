@@ -147,7 +147,7 @@ def graded(holds: Any, partly: Any = False) -> Verdict:
 
 
 def across(verdicts: Mapping[str, Verdict]) -> Verdict:
-    """The verdict on a claim that was judged for several forms of a method: theirs where they agree; else it holds in part, or not at all
+    """The verdict on a claim that was assessed for several forms of a method: theirs where they agree; else it holds in part, or not at all
     where it does for none."""
     distinct = set(verdicts.values())
     if len(distinct) == 1:
@@ -156,7 +156,7 @@ def across(verdicts: Mapping[str, Verdict]) -> Verdict:
 
 
 def by_form(forms: Mapping[str, Mapping[str, Verdict]]) -> list[tuple[list[str], list[list[str]]]]:
-    """Tables of `Reproduction.forms`: (heads, rows), one for all claims that were judged for the same forms."""
+    """Tables of `Reproduction.forms`: (heads, rows), one for all claims that were assessed for the same forms."""
     tables: dict[tuple[str, ...], list[list[str]]] = {}
     for claim, verdicts in forms.items():
         tables.setdefault(tuple(verdicts), []).append([claim, *verdicts.values()])

@@ -31,7 +31,7 @@ BEGIN, FAULT_STEP, PILOT = 20_500, 21_500, 23_000
 REDESIGN = 10  # steps between looks at the bounds
 LOOSE = 0.2  # a controller is designed again when a bound has left its interval, or leaves this much of it unused
 QUIET, STABLE = 0.1, 0.3  # rad/s: the paper's two limits
-SETTLE_S = 4.0  # a fault is a step: rates are judged from then on
+SETTLE_S = 4.0  # a fault is a step: rates are assessed from then on
 DITHER = np.array([0.003, 0.007, 0.02, 0.008])
 LOST = 20.0  # rad/s or m/s: what flies no more
 
@@ -112,7 +112,7 @@ def _bumpless(state, old, new):
     return (truth, y, xi, *rest)
 
 
-def judged(flown: Flown) -> dict:
+def assessed(flown: Flown) -> dict:
     """Numbers that the claims use: largest rates before the fault, in the first seconds after it and from then on [rad/s], whether it is
     stable, and the share of steps at which the bounds hold the true coefficients."""
     at, late = FAULT_STEP - flown.begin, FAULT_STEP - flown.begin + round(SETTLE_S / DT)
@@ -253,12 +253,13 @@ def flight_test(literal: tuple[str, ...] = (), progress=silent) -> tuple[dict, d
         return fly(name, Setting(**setting), designs, form, literal)
 
     flown = {name: one(name, "the paper's") for name in ("aesmf", "aekf")}
-    seen = {name: judged(flight) for name, flight in flown.items()}
+    seen = {name: assessed(flight) for name, flight in flown.items()}
     forms = {
-        form: seen["aesmf"] if form == chosen else judged(one("aesmf", ruav_filters.FORM_LABELS[form], form)) for form in ruav_filters.FORMS
+        form: seen["aesmf"] if form == chosen else assessed(one("aesmf", ruav_filters.FORM_LABELS[form], form))
+        for form in ruav_filters.FORMS
     }
     varied = {
-        name: {label: _short(judged(one(name, label.replace("_", " "), **setting))) for label, setting in these.items()}
+        name: {label: _short(assessed(one(name, label.replace("_", " "), **setting))) for label, setting in these.items()}
         for name, these in VARIED.items()
     }
     key = designs.key(1.0 - ruav_filters.START_REACH[1:4], np.ones(3))

@@ -206,7 +206,7 @@ static bool plan(rw_log *log, const spans *air, rw_plan *p)
     for (size_t i = 0; i < s[RW_OUTPUTS].n; i++)
         whole += rw_whole(&s[RW_OUTPUTS], i);
     if (commands->n < RW_LEAST_COMMANDS || !whole)
-        return rw_refuse(log, "this log holds too few motor outputs to be judged");
+        return rw_refuse(log, "this log holds too few motor outputs to be assessed");
     for (size_t k = 0; k < air->count; k++)
         longest = fmax(longest, air->spans[k].end - air->spans[k].start);
     rw_plan_init(p);
@@ -240,7 +240,7 @@ static bool plan(rw_log *log, const spans *air, rw_plan *p)
 /* What the ticks of a log show beside the engine's records. upset: since when the vehicle tumbles in a flight, RW_LASTS: never. The
    arrays: of each tick, as rw_carried_on_ground takes them; commanded: up to the last one with commands. */
 typedef struct {
-    size_t judged, aloft, hovering, count, commanded, room;
+    size_t assessed, aloft, hovering, count, commanded, room;
     rw_time upset, *time;
     rw_real *thrust, *load, *hover, *axial;
     bool *valid, *restart, *ground;
@@ -282,7 +282,7 @@ static void look(seen *all, const rw_vehicle *v, const spans *air, const rw_made
             continue;
         all->aloft++;
         all->hovering += carried > RW_CARRIES_LEAST && carried < RW_CARRIES_MOST && !one->upset;
-        all->judged += one->mode == RW_JUDGE && (one->valid[0] || one->valid[1] || one->valid[2] || one->valid[3]);
+        all->assessed += one->mode == RW_ASSESS && (one->valid[0] || one->valid[1] || one->valid[2] || one->valid[3]);
         if (one->upset)
             all->upset = fmin(all->upset, one->time);
     }
@@ -456,11 +456,11 @@ static void tell_event(words *w, const rw_event *e)
 static void tell(words *w, rw_log *log, const char *name, const spans *air, const rw_plan *p, const seen *all, const rw_event *found, int32_t count)
 {
     const rw_vehicle *v = &log->vehicle;
-    const double judged_s = (double)all->judged * p->dt;
+    const double assessed_s = (double)all->assessed * p->dt;
     const int32_t main_event = rw_events_main_event(found, count);
     /* What happens before a fall may not be seen: without an event it is not called harmless. */
-    const int32_t verdict = rw_events_verdict(found, count, judged_s >= RW_JUDGED_LEAST_S && all->upset >= RW_LASTS);
-    static const char *const VERDICTS[] = {"not judged", "nothing found", "fault", "ambiguous"};
+    const int32_t verdict = rw_events_verdict(found, count, assessed_s >= RW_ASSESSED_LEAST_S && all->upset >= RW_LASTS);
+    static const char *const VERDICTS[] = {"not assessed", "nothing found", "fault", "ambiguous"};
     say(w, "{\"schema\": 1, \"flight\": {\"name\": ");
     quote(w, name);
     say(w, ", \"format\": \"%s\", \"autopilot\": \"%s\", \"frame\": \"%s\", \"rotors\": %d, \"geometry\": [", log->format, log->autopilot, log->frame,
@@ -482,8 +482,8 @@ static void tell(words *w, rw_log *log, const char *name, const spans *air, cons
         number(w, air->spans[k].end);
         say(w, "]");
     }
-    say(w, "], \"judged_s\": ");
-    number(w, judged_s);
+    say(w, "], \"assessed_s\": ");
+    number(w, assessed_s);
     say(w, ", \"tick_s\": ");
     number(w, p->dt);
     say(w, "}, \"verdict\": \"%s\", \"main_event\": ", VERDICTS[verdict]);
@@ -499,7 +499,7 @@ static void tell(words *w, rw_log *log, const char *name, const spans *air, cons
     say(w, ", \"left_to_diagnose\": \"%s\"}\n", RW_LEFT_TO_DIAGNOSE);
 }
 
-static bool judge(words *w, rw_log *log, const char *name, spans *air)
+static bool assess(words *w, rw_log *log, const char *name, spans *air)
 {
     seen all = {0};
     rw_plan p;
@@ -531,12 +531,12 @@ static bool judge(words *w, rw_log *log, const char *name, spans *air)
         return false;
     if (all.aloft && rw_rate_hz(log, &s[RW_OUTPUTS]) >= RW_AEROBATIC_HZ && rw_rate_hz(log, &s[RW_GYRO]) >= RW_AEROBATIC_HZ
         && (double)all.hovering < RW_HOVERING * (double)all.aloft)
-        return rw_refuse(log, "this vehicle does not hover, which only rotorwatch diagnose judges");
+        return rw_refuse(log, "this vehicle does not hover, which only rotorwatch diagnose assesses");
     tell(w, log, name, air, &p, &all, found, events(log, air, g, &all, found));
     return !log->why[0];
 }
 
-char *rw_judge_log(const uint8_t *data, size_t size, const char *name)
+char *rw_assess_log(const uint8_t *data, size_t size, const char *name)
 {
     words w = {malloc(4096), 0, 4096};
     spans air = {0};
@@ -545,7 +545,7 @@ char *rw_judge_log(const uint8_t *data, size_t size, const char *name)
         log->data = data;
         log->size = size;
         rw_vehicle_init(&log->vehicle);
-        if (!judge(&w, log, name, &air)) {
+        if (!assess(&w, log, name, &air)) {
             w.length = 0;
             say(&w, "{\"schema\": 1, \"flight\": {\"name\": ");
             quote(&w, name);

@@ -27,7 +27,7 @@ from rotorwatch.engine.events.decisions import FALSE_ALARM_PERIOD_S
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.air_spans import airborne
 from rotorwatch.engine.motion.allocation import Spans
-from rotorwatch.engine.motion.tick_table import GROUND, JUDGE, READY_KNOWN_S, Ticks
+from rotorwatch.engine.motion.tick_table import ASSESS, GROUND, READY_KNOWN_S, Ticks
 from rotorwatch.engine.motion.tick_table import LEARN as LEARNING
 from rotorwatch.errors import ConfigError
 from rotorwatch.flight import Flight
@@ -41,7 +41,7 @@ CARRIES = (0.5, 2.0)  # times the thrust of hover
 HOVERING = 0.8  # share of ticks in the air for which a hovering flight is carried, and does not tumble
 LEARN, LEARN_LEAST = 10, 4  # blocks for learning trim and scatter; of a short flight half, at least the second
 FIRM = 10  # blocks before and after an onset
-READY_S = LEARN_LEAST * BLOCK_S + 2.0 * EDGE_S  # in the air, before anything is judged
+READY_S = LEARN_LEAST * BLOCK_S + 2.0 * EDGE_S  # in the air, before anything is assessed
 ALIKE = 0.35  # correlation of successive blocks' noise: 0.1 to 0.75 in roll, 0.0 to 0.3 else (docs/aerobatic.md)
 LOSS_SD, STEP_SD = 0.25, 0.08  # prior of a loss; of a step of the trim, full thrusts of a rotor
 SCATTER, PRIOR_BLOCKS = ((0.3, 0.25, 0.2), 5.0)  # of the mean thrust: prior of the noise, and its weight in blocks
@@ -220,7 +220,7 @@ def _ratio(moment: np.ndarray, information: np.ndarray, sd: float) -> tuple[np.n
 
 def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tuple[Ticks, TickOutput]:
     """The ticks `table` as used here, and the outputs at them, in the default estimator's form. Where the flight is too short, or its
-    motion does not respond to its outputs, no tick is judged."""
+    motion does not respond to its outputs, no tick is assessed."""
     B = vehicle.effectiveness()
     out, seen = blank(len(table.time), list_hypotheses(B.shape[1])), respond(flight, vehicle, air)
     out.statistic[:], out.detectable[:] = NOTHING, 1.0 / WITHIN_95
@@ -233,11 +233,11 @@ def estimate(flight: Flight, vehicle: Vehicle, air: Spans, table: Ticks) -> tupl
 
 
 def _observed(table: Ticks, air: Spans, since: float) -> Ticks:
-    """The ticks whatever the attitude and rates, without knocks and thrust; judged from `since` s on."""
+    """The ticks whatever the attitude and rates, without knocks and thrust; assessed from `since` s on."""
     mode = np.full(len(table.time), GROUND, np.int32)
     for start, end in air:
         mode[(table.time >= start) & (table.time <= end)] = LEARNING
-        mode[(table.time > max(start + EDGE_S, since)) & (table.time <= end)] = JUDGE
+        mode[(table.time > max(start + EDGE_S, since)) & (table.time <= end)] = ASSESS
     nothing, turns = np.zeros(len(table.time), bool), np.array([True, True, True, False])
     valid = (mode > GROUND)[:, None] & turns & (True if table.seen is None else table.seen[:, None])
     return replace(table, mode=mode, upset=nothing, contact=None, contacts=(), valid=valid)

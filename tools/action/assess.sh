@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Judges logs for action.yml. Reads LOGS, VEHICLE, BASELINE, FAIL_ON, REPORTS and BASE_SHA from the environment; writes pages and
+# Assesses logs for action.yml. Reads LOGS, VEHICLE, BASELINE, FAIL_ON, REPORTS and BASE_SHA from the environment; writes pages and
 # verdicts.jsonl and summary.md into REPORTS, the latter also into the job's summary, and leaves with 1 when FAIL_ON says so, with 2 after an error.
 set -uo pipefail
 

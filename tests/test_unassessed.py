@@ -1,15 +1,15 @@
-"""Why a flight was not judged: the true reason, with its numbers."""
+"""Why a flight was not assessed: the true reason, with its numbers."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from rotorwatch.answer import unjudged
+from rotorwatch.answer import unassessed
 from rotorwatch.engine.motion import tick_table
 
 
-def table(seconds, mode=tick_table.JUDGE, upset=False, valid=True, contacts=(), dt=0.1):
+def table(seconds, mode=tick_table.ASSESS, upset=False, valid=True, contacts=(), dt=0.1):
     """Ticks of a flight, all alike."""
     count = round(seconds / dt)
     return SimpleNamespace(
@@ -21,7 +21,7 @@ KNOCKS = tuple(SimpleNamespace(time=t) for t in (11.0, 22.5))
 
 
 @pytest.mark.parametrize(
-    ("made", "air", "judged_s", "says"),
+    ("made", "air", "assessed_s", "says"),
     [
         (table(8.0), ((2.0, 10.0),), 0.0, "11 s of flight are needed, 8 s were flown"),
         (table(10.5), ((2.0, 12.5),), 2.0, "11 s of flight are needed, 10.5 s were flown"),
@@ -33,8 +33,8 @@ KNOCKS = tuple(SimpleNamespace(time=t) for t in (11.0, 22.5))
         (table(300.0, dt=0.5), ((2.0, 302.0),), 285.0, "motor outputs every 0.5 s are too sparse"),
     ],
 )  # fmt: skip
-def test_the_reason_is_the_true_one_and_the_advice_fits_it(made, air, judged_s, says):
-    found = unjudged.find(air, made, judged_s, 11.0, True, 3.0, True)
+def test_the_reason_is_the_true_one_and_the_advice_fits_it(made, air, assessed_s, says):
+    found = unassessed.find(air, made, assessed_s, 11.0, True, 3.0, True)
     assert says in found.why and found.advice.endswith(".")
     assert ("10 Hz" in found.advice) == ("every" in found.why) and "outputs that reach" not in found.advice
 
