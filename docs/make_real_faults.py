@@ -127,11 +127,11 @@ of
   by 0.1 of an arm length, as no weight does outside of the rotor's wake.
 - Cuts up to 2 mm of one of its propellers move roll, pitch and yaw by 0.01 to 0.04 of an arm length, by which healthy flights differ, too.
   Of two cut on one side yaw says little: the centre of mass is likelier, and a pair below 5 % is not named.
-- Prototypes (erlerobot/logs), two alarms: one flies with failed position estimates at full throttle that does not lift it, one shakes on a
-  bench. Where the likeliest rotor leaves torques unexplained (one turns over out of a hover, one lies on the ground with an attitude that
-  drifts), or all rotors lacking thrust explain as much (one is turned hard from side to side), none is accused. Two more turn over and one
-  hits the ground: pushed up as it begins, or with motors long at idle, they accuse no rotor. In the F450 one output is far above the others
-  before the loss is said to begin, a second after take-off.
+- Prototypes (erlerobot/logs), one alarm: it shakes on a bench. None is accused where the likeliest rotor leaves torques unexplained (one
+  turns over out of a hover, one lies on the ground with an attitude that drifts), or where all rotors lacking thrust alike explain as much
+  (one flies with failed position estimates at full throttle that does not lift it, one is turned hard from side to side). Two more turn
+  over and one hits the ground: pushed up as it begins, or with motors long at idle, they accuse no rotor. In the F450 one output is far
+  above the others before the loss is said to begin, a second after take-off.
 - Telemetry of outputs every half second (adaptive-IGE-ardupilot), and FPV flights without a calm second, end as `inconclusive`.
 """
 RULES = """

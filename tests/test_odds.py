@@ -113,6 +113,21 @@ def test_what_may_be_no_loss_is_open_among_several_rotors_too(nats, decision):
     assert claim.decided(claim.weighed()) is decision
 
 
+def test_a_common_loss_puts_a_claim_in_doubt_and_changes_no_other_probability():
+    sure = a_claim([30.0, 0.0, 5.0], (("loss", "", (0,)), ("nothing", "", ()), ("loss", "", (1,))))
+    common = odds.Row("common", "", (0, 1, 2, 3), (), 60.0, NONE, NONE)
+    doubted, apart = (replace(sure, rows=(*sure.rows, c)) for c in (common, common._replace(weak=(0,))))
+    assert [c.decided(c.weighed()) for c in (sure, doubted, apart)] == [odds.Decision.LOSS, odds.Decision.OPEN, odds.Decision.LOSS]
+    assert doubted.weighed()[:3] == apart.weighed()[:3] == sure.weighed()[:3]
+    assert doubted.weighed().common > 0.99 and apart.weighed().common == 0.0
+
+
+@pytest.mark.parametrize("lost, weak", [([0.5, 0.6, 0.4, 0.5], ()), ([0.1, 0.6, 0.0, 0.1], (1,))])
+def test_who_loses_more_than_the_others_is_weak_beside_a_common_loss(lost, weak):
+    fit = Fit(0.0, np.ones(4), np.array(lost), np.full(4, 0.1))
+    assert odds.row(odds.Rival("common", Explanation((0, 1, 2, 3))), fit).weak == weak
+
+
 def test_what_only_the_scan_has_pointed_to_must_exceed_all_else_by_more():
     names = (("nothing", "", ()), ("loss", "", (0,)), ("slow 0.2 s", "", (0,)))
     margin = (odds.WEIGHTS["nothing"] + 0.5 * (np.log(SURE / (1.0 - SURE)) + odds.LIMITS.scanned)) / odds.TEMPER

@@ -102,15 +102,13 @@ def test_what_the_motion_denies_is_no_event(trim):
     assert len(warnings) == 1 and "rotor 2" in warnings[0] and "25.0 s" in warnings[0]
 
 
-@pytest.mark.parametrize(
-    ("sag", "seconds", "loss"), [(0.45, 1.0, 0.0), (0.6, 10.0, 0.0), (0.45, 1.0, 0.3), (0.45, 5.0, 0.3), (0.6, 10.0, 0.5)]
-)
+@pytest.mark.parametrize(("sag", "seconds", "loss"), [(0.45, 1.0, 0.0), (0.6, 10.0, 0.0), (0.45, 1.0, 0.5), (0.6, 10.0, 0.5)])
 def test_thrust_that_all_rotors_lack_alike_accuses_none_and_hides_no_loss(sag, seconds, loss):
     """A battery that sags, and rotor 2 that fails as it does, or not."""
     ticks = flight(loss, 1)
     thrust = ticks.thrust / (1.0 - sag * ramp(ticks.time, ONSET_S, ONSET_S + seconds))[:, None]
     kept, open_, _ = heard(replace(ticks, thrust=thrust, wrench=thrust @ QUAD.T), [claim(2)])
-    assert [e.rotors for e in kept] == ([(2,)] if loss else []) and not open_
+    assert [e.rotors for e in (kept if loss else open_)] == [(2,)] and not (open_ if loss else kept)
 
 
 def pushed(end=np.inf, rate=0.8):

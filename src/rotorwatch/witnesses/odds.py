@@ -22,9 +22,10 @@ import numpy as np
 
 from rotorwatch.engine.bindings.explaining import Explanation, Fit
 from rotorwatch.engine.events.decisions import CLEAR
+from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.flight.kinds import SUREST
 
-COMMON = "common"  # all rotors lose thrust, each as much as the motion says
+COMMON = "common"  # all rotors lose thrust, each as much as the motion says: if none of them exceeds the others, a claim of one is open
 # Log weights by the first word of an explanation's name, relative to a loss of one particular rotor. Added are "beside" for two at once,
 # which have both their weights, "pushed" where a push is one of them, and "claimed" where the rotors are those of an announced loss.
 WEIGHTS: dict[str, float] = {
@@ -99,10 +100,10 @@ class Row(NamedTuple):
 
 def row(rival: Rival, fit: Fit) -> Row:
     """The row of a rival's fit. A rotor does not gain thrust: the prior of a loss theta ends at 0, and the evidence of a fit whose prior
-    does not is multiplied by 2 P(theta > 0). Where all may lose thrust, as by a battery that sags, those are weak that lose more than the
-    mean of the others, by a standard deviation."""
+    does not is multiplied by 2 P(theta > 0). Where all may lose thrust, as by a battery that sags, those are weak that certainly lose more
+    than the mean of the others."""
     n = len(fit.loss)
-    usual = (fit.loss.sum() - fit.loss) / (n - 1) + fit.sd if rival.name == COMMON else np.zeros(n)
+    usual = (fit.loss.sum() - fit.loss) / (n - 1) + WITHIN_95 * fit.sd if rival.name == COMMON else np.zeros(n)
     weak = tuple(sorted(i for i in rival.weak if fit.loss[i] > usual[i]))
     lost = rival.weak if not rival.how.gives else ()  # a stuck rotor has no loss
     log_p = fit.log_p + sum(_log_positive(fit.loss[i] / max(fit.sd[i], 1e-9)) for i in lost)
@@ -124,7 +125,7 @@ class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
     rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
     best: the likeliest row with a size of each other set, unless one without
-    is ten times likelier."""
+    is ten times likelier. common: of a loss of all rotors alike, which puts a claim in doubt and takes no part in the others."""
 
     claim: float
     none: float
@@ -132,6 +133,7 @@ class Weighed(NamedTuple):
     slow: np.ndarray
     ahead: float
     best: dict[tuple[int, ...], Row]
+    common: float = 0.0
 
     def likeliest(self, among: Sequence[int]) -> tuple[int, ...] | None:
         """The likeliest other set of rotors, from 0, among these, from 1."""
@@ -173,9 +175,13 @@ class Comparison:
 
     def weighed(self, weights: Mapping[str, float] | None = None, temper: float | None = None) -> Weighed:
         """The probabilities."""
-        rows, logs = self.rows, self.logs(weights, temper)
-        share = np.exp(logs - logs.max())
-        share /= share.sum()
+        logs = self.logs(weights, temper)
+        apart = np.array([r.group == COMMON for r in self.rows])
+        alike = apart & np.array([not r.weak for r in self.rows])
+        rest = float(np.logaddexp.reduce(logs[~apart]))
+        common = float(np.exp(-np.logaddexp(0.0, rest - logs[alike])).sum())
+        rows, logs = [r for r, out in zip(self.rows, apart) if not out], logs[~apart]
+        share = np.exp(logs - rest)
         sums: dict[tuple[int, ...], float] = {}
         best: dict[tuple[int, ...], Row] = {}
         sized: dict[tuple[int, ...], float] = {}
@@ -196,7 +202,7 @@ class Comparison:
         ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
         others = {who: sums[who] for who in sorted(sums)}
         best = {who: one for who, one in best.items() if sized[who] > sums[who] / (1.0 + LIMITS.clear)}
-        return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), best)
+        return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), best, common)
 
     def claims(self, one: Row) -> bool:
         """True for a row under which the claimed rotors are at fault."""
@@ -219,13 +225,14 @@ class Comparison:
             return Decision.DROPPED
         if found.claim < 1.0 - clear:  # another rotor, or none in particular
             return Decision.OPEN if max(found.others.values(), default=0.0) > 0.5 else Decision.DROPPED
-        unsure = found.none > 1.0 / (1.0 + limits.named) or (found.claim < clear and not found.near(limits))
+        doubted = found.none > 1.0 / (1.0 + limits.named) or found.common > 1.0 - clear
+        unsure = doubted or (found.claim < clear and not found.near(limits))
         return Decision.OPEN if unsure else Decision.LOSS
 
     def _settled(self, found: Weighed, limits: Limits) -> Decision:
         who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))
         share = 0.0 if who is None else found.others[who]
-        if share > limits.sure and (found.ahead > limits.scanned or self.origin != SCAN):
+        if share * (1.0 - found.common) > limits.sure and (found.ahead > limits.scanned or self.origin != SCAN):
             return Decision.LOSS if who in found.best else Decision.OPEN
         if found.slow[slow] > limits.sure and found.ahead > limits.scanned and slow + 1 in self.rotors:
             return Decision.SLOW
@@ -240,7 +247,8 @@ class Comparison:
         return {
             "onset_s": self.onset_s, "rotors": self.rotors, "named": self.named, "alternatives": self.alternatives, "origin": self.origin,
             "grows": self.grows, "said": [round(x, 3) for x in self.said],
-            "decision": self.decided(found).value, "probability": stated(claimed), "probability_none": 1.0 - stated(1.0 - found.none),
+            "decision": self.decided(found).value, "probability": stated(claimed * (1.0 - found.common)),
+            "probability_none": 1.0 - stated((1.0 - found.none) * (1.0 - found.common)),
             "explanations": [
                 {
                     "name": r.name, "beside": r.beside, "rotors": [i + 1 for i in r.rotors], "weak": [i + 1 for i in r.weak],

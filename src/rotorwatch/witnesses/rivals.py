@@ -293,7 +293,7 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
     if decision is Decision.DROPPED:
         view.warnings.append(_warning(event))
         return [], []
-    return ([], [_opened(event, stated(found.claim))]) if decision is Decision.OPEN else ([_named(event, found)], [])
+    return ([], [_opened(event, stated(found.claim * (1.0 - found.common)))]) if decision is Decision.OPEN else ([_named(event, found)], [])
 
 
 def _unreported(view: View, event: Event) -> bool:
