@@ -121,8 +121,7 @@ CAUSES = """
 - OpenHA: in flight the end of the first loss is found 3 s late. At first it looks like a torque from outside: commands fall faster than the
   motors, and the end seems larger than the loss.
 - Rotors switched off, 10 Hz of commands: later ones are reported from within 0.13 s of the switch, one 2 s late; one is missed, in a flight
-of
-  which the notes say that three rotors were off and kept turning at idle.
+  of which the notes say that three rotors were off and kept turning at idle.
 - A weight hung near rotor 3 of the Crazyflie looks like a weak rotor 3, once with certainty: it yaws the vehicle as much as it rolls it,
   by 0.1 of an arm length, as no weight does outside of the rotor's wake.
 - Cuts up to 2 mm of one of its propellers move roll, pitch and yaw by 0.01 to 0.04 of an arm length, by which healthy flights differ, too.

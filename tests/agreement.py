@@ -426,7 +426,7 @@ def every(name, screen=True):
 SHOWN = None  # by a check above, together with the fields it belongs to
 HIDDEN = None  # for programs only
 FIELDS = {
-    "schema": lambda views, value: views.expect(value == 2, "another schema"),
+    "schema": lambda views, value: views.expect(value == 3, "another schema"),
     "flight.name": word("the name"),
     "flight.format": lambda views, value: views.shown(value, "the format", screen=False),
     "flight.autopilot": word("the autopilot"),

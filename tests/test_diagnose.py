@@ -71,7 +71,7 @@ def command(*arguments, code):
 
 def test_a_healthy_flight_exits_with_0_and_says_so():
     answer = json.loads(command(sample(HEALTHY), "--json", code=0).stdout)
-    assert answer["schema"] == 2 and answer["verdict"] == "healthy" and answer["events"] == []
+    assert answer["schema"] == 3 and answer["verdict"] == "healthy" and answer["events"] == []
     assert [r["rotor"] for r in answer["rotors"]] == [1, 2, 3, 4]
     assert all(r["status"] == "healthy" and r["loss"] == 0 for r in answer["rotors"])
     flight = answer["flight"]
