@@ -1,5 +1,4 @@
-"""Eight vehicles on one link for hours of their time, with all that links and clocks do: assessed to the end, and every flight in the
-store.
+"""Eight vehicles on one link for hours of their time, with all that links and clocks do: assessed to the end, every flight in the store.
 
     python -m tests.soak --minutes 60
 

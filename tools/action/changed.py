@@ -1,5 +1,4 @@
-"""The logs that a pull request adds or changes, for assess.sh: `changed.py BASE FILE` writes their paths into FILE, a zero byte behind
-each.
+"""The logs that a pull request adds or changes, for assess.sh: `changed.py BASE FILE` writes their paths into FILE, each with a zero byte.
 
 BASE: the commit that the pull request is compared with; one that a shallow checkout lacks is fetched. Prints what a runner shows. Leaves
 with 2 where it cannot be known what has changed: what is not assessed must not pass.

@@ -1,5 +1,4 @@
-"""What a log leaves for an excitation to distinguish: the sets of rotors, the hover, and the noise in which they have to be
-distinguished."""
+"""What a log leaves for an excitation to distinguish: the sets of rotors, the hover, and the noise about it."""
 
 from __future__ import annotations
 

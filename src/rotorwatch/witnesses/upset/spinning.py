@@ -1,8 +1,7 @@
 """Vehicles that spin and fly on with rotors off: since when, until when, and which rotors went off, one after the other or at once.
 
 A vehicle without a rotor can still hold its thrust axis and its place if it gives up its heading (Mueller and D'Andrea, ICRA 2014). Such a
-spin is no fall: the load shows that rotors carry it. Which of them are off is assessed by engine/spin, from the controlled flight before
-on.
+spin is no fall: the load shows that rotors carry it. Which of them are off engine/spin assesses from the controlled flight before on.
 """
 
 from __future__ import annotations
