@@ -324,19 +324,19 @@ static size_t position_at(const rw_series *s, rw_time time)
     return found < s->n && time - s->time[found] <= RW_FRESH_S ? found : s->n;
 }
 
-/* Whether a loss began and was announced so near the height of take-off that the ground explains it as well. */
-static bool near_ground(const rw_log *log, const spans *air, const rw_event *loss)
+/* Whether what begins and is announced at these times is so near the height of take-off that the ground explains it as well. */
+static bool near_ground(const rw_log *log, const spans *air, rw_time begins, rw_time announced)
 {
     const rw_series *s = &log->position;
     size_t at[3];
     double low = INFINITY, high = -INFINITY;
     for (size_t k = 0; k < air->count; k++) {
         const rw_time start = air->spans[k].start;
-        if (!(start <= loss->onset && loss->onset <= air->spans[k].end + RW_FRESH_S))
+        if (!(start <= begins && begins <= air->spans[k].end + RW_FRESH_S))
             continue;
         if (start - 1.0 < log->series[RW_OUTPUTS].time[0]) /* a log that begins in the air does not show where the ground is */
             return false;
-        at[0] = position_at(s, start - 1.0), at[1] = position_at(s, loss->onset), at[2] = position_at(s, loss->detected);
+        at[0] = position_at(s, start - 1.0), at[1] = position_at(s, begins), at[2] = position_at(s, announced);
         if (at[0] == s->n || at[1] == s->n || at[2] == s->n)
             return false;
         for (size_t i = at[0]; i <= at[2]; i++)
@@ -387,7 +387,7 @@ static bool fly(rw_log *log, const spans *air, const rw_plan *p, rw_plant *plant
 }
 
 /* The engine's events; returns how many. Outputs that left the mixer count in flight, and end with it. What began while the ground carried
-   a part of the vehicle, or near its height, the ground explains as well. */
+   a part of the vehicle, or near its height, the ground explains as well; so no loss ends there. */
 static int32_t events(rw_log *log, const spans *air, const rw_engine *g, const seen *all, rw_event *out)
 {
     rw_event *losses = rw_reserve(log, RW_RECORDS, sizeof *losses);
@@ -397,8 +397,12 @@ static int32_t events(rw_log *log, const spans *air, const rw_engine *g, const s
         return 0;
     count = rw_calls_losses(&g->losses, &log->vehicle, false, losses);
     for (int32_t i = 0; i < count; i++)
-        if (!on_ground(all, losses[i].onset) && !near_ground(log, air, &losses[i]))
-            losses[lost++] = losses[i];
+        if (!on_ground(all, losses[i].onset) && !near_ground(log, air, losses[i].onset, losses[i].detected)) {
+            losses[lost] = losses[i];
+            if (on_ground(all, losses[i].end) || near_ground(log, air, losses[i].end, losses[i].end))
+                losses[lost].end = RW_LASTS;
+            lost++;
+        }
     lost = rw_many_with_growth(&g->trim.growth, losses, lost, RW_RECORDS);
     count = rw_calls_overrides(&g->front.deviations, &log->vehicle, overrides);
     for (int32_t i = 0; i < count; i++)
