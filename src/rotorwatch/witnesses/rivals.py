@@ -99,14 +99,16 @@ def _losses(who: tuple[int, ...], end_s: float) -> list[Rival]:
 
 def beside(n: int, claim: tuple[int, ...], end_s: float, them: Sequence[Rival], logs: np.ndarray) -> list[Rival]:
     """The loss together with the likeliest of what else moves the vehicle; and so the likeliest slow rotor or turned mount, and a loss of
-    each other rotor of n: what else moves a vehicle has more freedom than its model, of which any rotor's loss takes a part."""
+    each other rotor of n: what else moves a vehicle has more freedom than its model, of which any rotor's loss takes a part. A step beside
+    a loss does not give its thrust back: else two rotors that lost two thirds each explain a mount that turned."""
     evidence = {r.name: x for r, x in zip(them, logs)}
     likely = sorted((k for k, r in enumerate(them) if r in ELSE), key=lambda k: -max(logs[k], evidence.get(them[k].name + PASSED, -np.inf)))
     likely = likely[:COMPANIONS]
     odd = them[max((k for k, r in enumerate(them) if r.how.late or r.how.turned), key=lambda k: logs[k])]
-    own = [Rival("loss", them[k].how._replace(rotors=claim, end_s=end_s), them[k].name) for k in likely]
+    own = [Rival("loss", them[k].how._replace(rotors=claim, end_s=end_s, lifts=False), them[k].name) for k in likely]
     # Theirs last: an end would open the trim once more, as no disturbance alone does.
-    own += [Rival("loss", them[k].how._replace(rotors=(i,)), them[k].name) for i in range(n) if (i,) != claim for k in likely]
+    others = [i for i in range(n) if (i,) != claim]
+    own += [Rival("loss", them[k].how._replace(rotors=(i,), lifts=False), them[k].name) for i in others for k in likely]
     same = {name: getattr(odd.how, name) for name in ("rotors", "end_s", "late", "turned")}
     return [*own, *(Rival(odd.name, them[k].how._replace(**same), them[k].name) for k in likely)]
 

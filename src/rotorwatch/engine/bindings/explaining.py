@@ -20,13 +20,13 @@ FORGOTTEN = 1e-17  # share of a command that a lag has left of it: below the res
 
 class Explanation(NamedTuple):
     """rotors: those that lose thrust, from 0; end_s: when they have it again; grows: walk of the loss, 1 per sqrt(s). gives: standard
-    deviation of a thrust that they give whatever they are commanded; late: s by which they follow their commands more slowly, instead
-    of a loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation
-    of the yaw by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this
-    flight's disturbances. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per sqrt(s)], lever:
-    by which it yaws the vehicle in a side force. push: standard deviation of each component of a torque that turns with the world, swells:
-    its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. load: share of the trim of roll and pitch that grows with all
-    thrust."""
+    deviation of a thrust that they give whatever they are commanded; late: s by which they follow their commands more slowly, instead of a
+    loss; cap: most thrust that they give [hover thrusts], instead of a loss, 0: as much as commanded; turned: standard deviation of the yaw
+    by their turned mounts, instead of a loss. step: standard deviation of a step of the trim of each axis, in those of this flight's
+    disturbances; lifts: of thrust, too. force: factor of the disturbances; drift: of the trim in roll and pitch [hover thrusts per
+    sqrt(s)], lever: by which it yaws the vehicle in a side force. push: standard deviation of each component of a torque that turns with
+    the world, swells: its walk, 1 per sqrt(s); lift: thrust that it takes [hover thrusts]. load: share of the trim of roll and pitch that
+    grows with all thrust."""
 
     rotors: tuple[int, ...] = ()
     end_s: float = np.inf
@@ -36,6 +36,7 @@ class Explanation(NamedTuple):
     cap: float = 0.0
     turned: float = 0.0
     step: float = 0.0
+    lifts: bool = True
     force: float = 1.0
     drift: float = 0.0
     lever: float = 0.0
@@ -126,7 +127,8 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     }
     rows.fill(
         rotors=np.array([sum(1 << i for i in e.rotors) for e in them]), end=np.array([tick(e.end_s) for e in them]),
-        carriers=np.array([_free(e.rotors, n) for e in them]), step=np.array([e.step * where.width for e in them]), **columns,
+        carriers=np.array([_free(e.rotors, n) for e in them]),
+        step=np.array([e.step * where.width * (1.0, 1.0, 1.0, e.lifts) for e in them]), **columns,
     )  # fmt: skip
     state = ENGINE.new(estimator.Estimator)
     ENGINE.call(explanations.explain, plant, state, noise, len(time), *tables, where.onset, len(them), rows, others)
