@@ -124,8 +124,8 @@ class Decision(Enum):
 class Weighed(NamedTuple):
     """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
     rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    best: the likeliest row with a size of each other set, unless one without
-    is ten times likelier. common: of a loss of all rotors alike, which puts a claim in doubt and takes no part in the others."""
+    best: the likeliest row with a size of each other set, unless one without is ten times likelier. common: of a loss of all rotors alike,
+    which puts a claim in doubt and takes no part in the others."""
 
     claim: float
     none: float
