@@ -1,5 +1,6 @@
 """The odds of explanations: probabilities and decisions, their fit, ablation and reliability, on claims whose truth is known."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +112,14 @@ def test_what_may_be_no_loss_is_open_among_several_rotors_too(nats, decision):
     names = (("loss", "", (0,)), ("nothing", "", ()), ("loss", "", (1,)))
     claim = a_claim([nats, 0.0, nats], names, alternatives=((2,),))
     assert claim.decided(claim.weighed()) is decision
+
+
+@pytest.mark.parametrize(("mount", "decision"), [(0, odds.Decision.LOSS), (1, odds.Decision.OPEN)])
+def test_another_fault_of_the_same_rotor_spares_nobody(mount, decision):
+    names = (("loss", "", (0,)), ("nothing", "", ()), ("turned", "", (mount,)))
+    ahead = odds.WEIGHTS["claimed"] - odds.WEIGHTS["turned"] - math.log(20.0)  # odds of 20
+    claim = a_claim([0.0, -60.0, ahead / odds.TEMPER], names)
+    assert claim.weighed().none == pytest.approx(1 / 21, abs=1e-6) and claim.decided(claim.weighed()) is decision
 
 
 def test_a_common_loss_puts_a_claim_in_doubt_and_changes_no_other_probability():

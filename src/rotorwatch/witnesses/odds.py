@@ -37,11 +37,11 @@ TEMPER = 0.5  # the likeliest is 0.26: a weaker one halves the log loss as well,
 
 
 class Limits(NamedTuple):
-    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. named: the same against no loss: claims with odds
-    of 10 to 50 are right seven times of eight, others 99 times of 100 (docs/tuning.md). sure: probability from which an open claim becomes
-    an event, a claim that grows or is ambiguous is dropped, and of all else from which an open claim is. scanned: nats by which an
-    explanation that nothing but the scan has pointed to must exceed all others: real motors differ in lag, and controllers follow their own
-    noise; healthy real flights reach 8."""
+    """Thresholds. clear: odds from which a claim stands, and a rotor is no alternative. named: the same against no fault of its rotors
+    (a turned mount of the same rotor takes part of its loss, and spares nobody): claims with odds of 10 to 50 are right seven times of
+    eight, others 99 times of 100 (docs/tuning.md). sure: probability from which an open claim becomes an event, a claim that grows or is
+    ambiguous is dropped, and of all else from which an open claim is. scanned: nats by which an explanation that nothing but the scan has
+    pointed to must exceed all others: real motors differ in lag, and controllers follow their own noise; healthy real flights reach 8."""
 
     clear: float = CLEAR
     named: float = 50.0
@@ -122,13 +122,14 @@ class Decision(Enum):
 
 
 class Weighed(NamedTuple):
-    """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of each other set of
-    rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest explanation exceeds those of other rotors or kinds.
-    best: the likeliest row with a size of each other set, unless one without is ten times likelier. common: of a loss of all rotors alike,
-    which puts a claim in doubt and takes no part in the others."""
+    """Probabilities: of a loss of the claimed rotors, with others or not, or of their slow response; of no loss; of these, of no fault
+    of a claimed rotor; of each other set of rotors, from 0; of a slow response of each rotor. ahead: nats by which the likeliest
+    explanation exceeds those of other rotors or kinds. best: the likeliest row with a size of each other set, unless one without is ten
+    times likelier. common: of a loss of all rotors alike, which puts a claim in doubt and takes no part in the others."""
 
     claim: float
     none: float
+    spared: float
     others: dict[tuple[int, ...], float]
     slow: np.ndarray
     ahead: float
@@ -193,6 +194,8 @@ class Comparison:
                     best[rows[k].weak] = rows[k]
                     sized[rows[k].weak] = float(share[k])
         none = np.array([not r.weak for r in rows]) & ~mine
+        suspects = {r - 1 for who in (self.rotors, *self.alternatives) for r in who}
+        spared = none & np.array([suspects.isdisjoint(r.rotors) for r in rows])
         slow = np.zeros(self.n)
         for r, p in zip(rows, share):
             if r.group == "slow":
@@ -202,7 +205,8 @@ class Comparison:
         ahead = logs[first] - max((x for x, kind in zip(logs, kinds) if kind != kinds[first]), default=-np.inf)
         others = {who: sums[who] for who in sorted(sums)}
         best = {who: one for who, one in best.items() if sized[who] > sums[who] / (1.0 + LIMITS.clear)}
-        return Weighed(float(share[mine].sum()), float(share[none].sum()), others, slow, float(ahead), best, common)
+        claim, nobody, free = (float(share[those].sum()) for those in (mine, none, spared))
+        return Weighed(claim, nobody, free, others, slow, float(ahead), best, common)
 
     def claims(self, one: Row) -> bool:
         """True for a row under which the claimed rotors are at fault."""
@@ -225,7 +229,7 @@ class Comparison:
             return Decision.DROPPED
         if found.claim < 1.0 - clear:  # another rotor, or none in particular
             return Decision.OPEN if max(found.others.values(), default=0.0) > 0.5 else Decision.DROPPED
-        doubted = found.none > 1.0 / (1.0 + limits.named) or found.common > 1.0 - clear
+        doubted = found.spared > 1.0 / (1.0 + limits.named) or found.common > 1.0 - clear
         unsure = doubted or (found.claim < clear and not found.near(limits))
         return Decision.OPEN if unsure else Decision.LOSS
 
