@@ -9,6 +9,7 @@ near_ground.py           losses that the ground explains as well
 rivals.py                losses compared with what else explains the motion that followed
 odds.py                  weights and probabilities of these explanations
 pushes.py                what the side force says of a push
+remainder.py             losses in the motion that known losses leave
 leaning.py               a lasting lateral force at rest: contact, however slowly it began
 stepped.py               losses that grew in a step
 oscillation.py           outputs that oscillate: frequency, axis, gain

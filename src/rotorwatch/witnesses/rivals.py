@@ -26,7 +26,7 @@ from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
-from rotorwatch.witnesses import pushes
+from rotorwatch.witnesses import pushes, remainder
 from rotorwatch.witnesses.odds import COMMON, SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row, stated
 from rotorwatch.witnesses.witness import Events, Stage, View, Witness
 
@@ -267,6 +267,8 @@ def _hear(view: View, events: Events) -> Events:
             open_ += claim
     for c in (*_suspects(view, kept), *_unbalanced(events, kept)):
         kept += _settled(view, c, kept)[0]
+    while more := _beside(view, kept):
+        kept += more
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
 
@@ -355,6 +357,18 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
     since = np.flatnonzero(ahead[:, rotor] > most - LATELY)[-1]
     onset = float(table.command_time[since])
     return [unexplained_evidence.claim((rotor + 1,), onset, float(table.time[-1]), source=SOURCE)]
+
+
+def _beside(view: View, events: Sequence[Event]) -> list[Event]:
+    """One more loss, or none, in the motion that known losses leave."""
+    known = [e for e in events if e.kind == LOSS and not e.alternatives]
+    if not known or view.clear is None:
+        return []
+    for c in remainder.claims(view, known, _missing(view.clear, known)):
+        falls = any(t - FALL_S <= c.onset_s <= t for t in view.lost)
+        if not falls and not view.spins_from(c.onset_s) and (found := _settled(view, c, events)[0]):
+            return found
+    return []
 
 
 def _unbalanced(events: Sequence[Event], kept: Sequence[Event]) -> list[Event]:
