@@ -54,7 +54,7 @@ LIMITS = Limits()
 # 0.48 of each half); with 1 a stated 1 to 5 % is right in 13 % of 148 answers. LEAST is stated of any rotor: motion that no explanation
 # models, such as a swinging load, makes claims; of 2,311 rotors below 1e-9, 0.6 % are at fault (docs/results.md#stated-probabilities).
 POWER, LEAST = 0.55, 0.006
-SCAN = "rivals"  # origin of claims that only the scan has made
+SCAN, BESIDE = "rivals", "remainder"  # origin of claims that only the scan has made; of those of a loss beside a known one
 
 
 def stated(p: float) -> float:
@@ -236,7 +236,8 @@ class Comparison:
     def _settled(self, found: Weighed, limits: Limits) -> Decision:
         who, slow = found.likeliest(self.rotors), int(np.argmax(found.slow))
         share = 0.0 if who is None else found.others[who]
-        if share * (1.0 - found.common) > limits.sure and (found.ahead > limits.scanned or self.origin != SCAN):
+        sure = limits.named / (1.0 + limits.named) if self.origin == BESIDE else limits.sure
+        if share * (1.0 - found.common) > sure and (found.ahead > limits.scanned or self.origin != SCAN):
             return Decision.LOSS if who in found.best else Decision.OPEN
         if found.slow[slow] > limits.sure and found.ahead > limits.scanned and slow + 1 in self.rotors:
             return Decision.SLOW

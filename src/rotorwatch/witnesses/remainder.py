@@ -15,21 +15,25 @@ from rotorwatch.engine.bindings import unexplained_evidence
 from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.engine.bindings.program import estimate
 from rotorwatch.flight.diagnosis import Event, Source
+from rotorwatch.witnesses.odds import BESIDE
 from rotorwatch.witnesses.witness import View
 
-SOURCE = Source("remainder", 3)
+SOURCE = Source(BESIDE, 3)
 
 
 def claims(view: View, known: Sequence[Event], missing: np.ndarray) -> Iterator[Event]:
-    """Open claims of losses of one more rotor each. known: losses; missing (T, n): thrust that they take [hover thrusts]."""
+    """Open claims of a loss of each other rotor, at its likeliest onset. known: losses; missing (T, n): thrust that they take [hover
+    thrusts]."""
     table, B = view.clear, view.B
-    if not known or table is None:
-        return
-    them, whole = list_hypotheses(B.shape[1]), {r for e in known for r in e.suspects}
+    assert table is not None
+    them, suspects = list_hypotheses(B.shape[1]), {r for e in known for r in e.suspects}
     _, out = estimate(replace(table, wrench=table.wrench - missing @ B.T), B, view.dynamics)
     single = np.array([kind == "single" for kind in them.kinds])
-    for k in np.flatnonzero(out.announced):
-        (rotor,) = them.rotors[int(np.argmax(np.where(single, out.log_odds[k], -np.inf)))]
-        if rotor + 1 not in whole:
+    odds = np.where(out.announced[:, None] & single, out.log_odds, -np.inf)
+    best = odds.argmax(axis=1)
+    for h in np.unique(best[out.announced]):
+        (rotor,) = them.rotors[h]
+        k = int(np.where(best == h, odds[:, h], -np.inf).argmax())
+        if rotor + 1 not in suspects:
             onset_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
             yield unexplained_evidence.claim((rotor + 1,), onset_s, float(table.time[k]), source=SOURCE)
