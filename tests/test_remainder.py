@@ -45,10 +45,11 @@ def test_rotors_that_are_known_or_suspected_are_not_claimed_again():
     assert claimed(ticks, (FIRST, doubted)) == []
 
 
-def test_nothing_is_looked_for_beside_losses_that_are_not_certain(monkeypatch):
+def test_nothing_is_looked_for_beside_doubted_losses_and_stuck_rotors(monkeypatch):
     monkeypatch.setattr(remainder, "claims", lambda *given: pytest.fail("asked"))
     heard(flown(), [])
     heard(flown(), [replace(FIRST, alternatives=((3,),))])
+    heard(flown(), [replace(FIRST, extra={"gives": 1.2})])
 
 
 @pytest.mark.parametrize(("origin", "decisions"), [("steps", ["loss", "loss"]), (odds.BESIDE, ["open", "loss"])])

@@ -360,9 +360,9 @@ def _suspects(view: View, events: Sequence[Event]) -> list[Event]:
 
 
 def _beside(view: View, events: Sequence[Event]) -> list[Event]:
-    """One more loss, or none, in the motion that known losses leave."""
+    """One more loss, or none, in the motion that known losses leave. A stuck rotor lacks no share of what is commanded."""
     known = [e for e in events if e.kind == LOSS]
-    if all(e.alternatives for e in known) or view.clear is None:
+    if all(e.alternatives for e in known) or any("gives" in e.extra for e in known) or view.clear is None:
         return []
     for c in remainder.claims(view, known, _missing(view.clear, known)):
         falls = any(t - FALL_S <= c.onset_s <= t for t in view.lost)
