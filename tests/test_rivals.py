@@ -13,7 +13,7 @@ from rotorwatch.engine.motion.ground_contact import on_ground
 from rotorwatch.engine.motion.tick_table import ASSESS, HOVER_LEARN_S, LEARN, READY_S, Ticks
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, OVERRIDE, SLOW_RESPONSE
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, OVERRIDE, SLOW_RESPONSE
 from rotorwatch.witnesses import near_ground, rivals
 from rotorwatch.witnesses.odds import Decision
 from rotorwatch.witnesses.witness import View
@@ -151,6 +151,17 @@ def test_a_loss_that_a_tumble_hides_stays_open():
     hidden = ticks.valid & (ticks.time < ONSET_S + 0.5)[:, None]
     kept, open_, _ = heard(replace(ticks, valid=hidden), [claim(1)])
     assert not kept and [c.rotors for c in open_] == [(1,)]
+
+
+@pytest.mark.parametrize(("claimed", "alternatives"), [(1, ()), (3, ((1,),))])
+def test_in_a_fall_rotors_are_told_apart(claimed, alternatives):
+    """Rotor 1 fails, and the vehicle departs controlled flight a second later."""
+    ticks = flight(0.6)
+    seen = view(replace(ticks, valid=ticks.valid & (ticks.time < ONSET_S + 2.0)[:, None]))
+    seen.lost = (ONSET_S + 1.0,)
+    kept = rivals.WITNESSES[0].hear(seen, (claim(claimed), claim(claimed, kind=LOST)))
+    assert [(e.kind, e.rotors, e.alternatives) for e in kept] == [(kind, (claimed,), alternatives) for kind in (LOSS, LOST)]
+    assert all(("of a loss of rotor 1" in e.reason) is bool(alternatives) for e in kept)
 
 
 def test_two_seconds_of_contact_accuse_nobody():

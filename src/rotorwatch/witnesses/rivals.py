@@ -24,7 +24,7 @@ from rotorwatch.engine.estimator.plant import ANSWER_S
 from rotorwatch.engine.events.losses import WITHIN_95
 from rotorwatch.engine.motion.tick_table import ASSESS, Ticks
 from rotorwatch.flight.diagnosis import Event, Source
-from rotorwatch.flight.kinds import EVIDENCE, LOSS, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
+from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, SLOW_RESPONSE, UNBALANCED, Kind, Weight, Words, register
 from rotorwatch.flight.kinds import Span as Lasting
 from rotorwatch.witnesses import pushes, remainder
 from rotorwatch.witnesses.odds import COMMON, SCAN, TEMPER, WEIGHTS, Comparison, Decision, Rival, Weighed, group, row, stated
@@ -48,6 +48,7 @@ SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is o
 MARGIN_S = 1.0  # about an end: it is known no better, and rotors may recover in some tenths of a second
 LANDED_S = 1.0  # of the log after motion that could refute a loss
 FALL_S = 4.0  # before a loss of control: what follows is the fall
+FALLING_S, LEAST_S = 1.0, 0.2  # from then on, motion that tells rotors apart; the least
 COMPARED = "compared"  # in View.facts: all comparisons of the flight
 PUSH = Rival("push", Explanation(push=0.5, step=1.0))
 # What else moves a vehicle: a step of the trim, in standard deviations of this flight's disturbances; one that grows with the thrust, as by
@@ -113,13 +114,13 @@ def beside(n: int, claim: tuple[int, ...], end_s: float, them: Sequence[Rival], 
     return [*own, *(Rival(odd.name, them[k].how._replace(**same), them[k].name) for k in likely)]
 
 
-def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True) -> Comparison | None:
+def weigh(view: View, event: Event, events: Sequence[Event], named: bool = True, fall_s: float | None = None) -> Comparison | None:
     """A loss compared with its rivals; None where too little follows it to tell. events: all of the flight; named: the event's rotors are
-    claimed, else any one may be."""
+    claimed, else any one may be; fall_s: time of a loss of control that follows at once."""
     assert view.learned is not None
     claim = tuple(r - 1 for r in event.rotors) if named else ()
     end_s = np.inf if event.end_s is None or not named else event.end_s
-    where = _span(view, event, events, named, end_s)
+    where = _span(view, event, events, named, end_s, fall_s)
     if where is None:
         return None
     cap = quantile(where.ticks.thrust[where.onset :, list(claim)].max(axis=1), CAP) if claim else 0.0
@@ -156,7 +157,7 @@ def _fitted(where: Span, them: Sequence[Rival], end_s: float, shoves: tuple[push
     return [fit._replace(log_p=fit.log_p + more) for fit, more in zip(fits, said)]
 
 
-def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s: float) -> Span | None:
+def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s: float, fall_s: float | None) -> Span | None:
     """The ticks that tell of an event that is over at end_s, or None where they are too few."""
     table, learned = view.clear, view.learned
     assert table is not None and learned is not None
@@ -164,11 +165,11 @@ def _span(view: View, event: Event, events: Sequence[Event], named: bool, end_s:
     # Up to the next loss, unless that leaves too little.
     others = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > begun + SHORTEST_S and not set(e.rotors) & set(event.rotors)]
     again = [e.onset_s for e in events if e.kind == LOSS and e.onset_s > end_s and set(e.rotors) & set(event.rotors)]
-    until = min([begun + AFTER_S, end_s + OVER_S, *others, *again])
+    until = begun + AFTER_S if fall_s is None else max(begun, fall_s) + FALLING_S
+    until = min([until, end_s + OVER_S, *others, *again])
     where = span(table, view.B, learned, event.onset_s, BEFORE_S, until, _missing(table, events, event.rotors))
-    if where.ticks.valid[where.onset :].any(axis=1).sum() * table.dt < SHORTEST_S:
-        return None
-    if min(end_s, until) - event.onset_s < BRIEF_S:
+    least, brief = (SHORTEST_S, BRIEF_S) if fall_s is None else (LEAST_S, LEAST_S)
+    if where.ticks.valid[where.onset :].any(axis=1).sum() * table.dt < least or min(end_s, until) - event.onset_s < brief:
         return None
     return _in_time(where)
 
@@ -269,6 +270,8 @@ def _hear(view: View, events: Events) -> Events:
         kept += _settled(view, c, kept)[0]
     while more := _beside(view, kept):
         kept += more
+    doubted = {(e.rotors, e.onset_s): e.alternatives for e in kept if e.kind == LOSS}
+    kept = [_or(e, doubted.get((e.rotors, e.onset_s), ())) if e.kind == LOST else e for e in kept]
     view.open = tuple(open_)
     return tuple(sorted(kept, key=lambda e: e.detected_s))
 
@@ -285,9 +288,11 @@ def _weighed(view: View, event: Event, events: Sequence[Event], named: bool) -> 
 
 def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], list[Event]]:
     """(the event that a claimed loss turns out to be, the claim where it stays open)."""
-    falls = any(event.onset_s <= t <= event.detected_s + FALL_S for t in view.lost)
-    if event.kind != LOSS or falls or view.spins_from(event.onset_s) or "asked" in event.extra:
+    if event.kind != LOSS or view.spins_from(event.onset_s) or "asked" in event.extra:
         return [event], []
+    falls = [t for t in view.lost if event.onset_s <= t <= event.detected_s + FALL_S]
+    if falls:
+        return [_falling(view, event, events, min(falls))], []
     found, decision = _weighed(view, event, events, True)
     if found is None:
         refutable = _total(event) or event.alternatives or not _unreported(view, event)
@@ -298,6 +303,23 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
         view.warnings.append(_warning(event))
         return [], []
     return ([], [_opened(event, stated(found.claim * (1.0 - found.common)))]) if decision is Decision.OPEN else ([_named(event, found)], [])
+
+
+def _falling(view: View, event: Event, events: Sequence[Event], fall_s: float) -> Event:
+    """A loss in which the vehicle departs controlled flight: with another rotor, if its loss is likelier than not. What is left of the
+    motion cannot tell a loss from a gust, but rotors from each other."""
+    compared = weigh(view, event, events, fall_s=fall_s)
+    others = {} if compared is None else compared.weighed().others
+    return _or(event, [tuple(i + 1 for i in sorted(who)) for who, p in others.items() if p > 0.5])
+
+
+def _or(event: Event, them: Sequence[tuple[int, ...]]) -> Event:
+    """The event with other sets of rotors, from 1, as alternatives."""
+    more = [who for who in them if who not in event.alternatives]
+    if not more:
+        return event
+    reason = f"{event.reason}; the motion that followed is that of a loss of {' or '.join(map(rotors, more))}"
+    return replace(event, alternatives=(*event.alternatives, *more), reason=reason)
 
 
 def _unreported(view: View, event: Event) -> bool:
