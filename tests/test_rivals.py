@@ -14,7 +14,7 @@ from rotorwatch.engine.motion.tick_table import ASSESS, HOVER_LEARN_S, LEARN, RE
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, OVERRIDE, SLOW_RESPONSE
-from rotorwatch.witnesses import near_ground, rivals
+from rotorwatch.witnesses import near_ground, remainder, rivals
 from rotorwatch.witnesses.odds import Decision
 from rotorwatch.witnesses.witness import View
 
@@ -89,6 +89,16 @@ def test_an_explanation_fits_the_same_in_any_company():
 def test_a_loss_is_confirmed_with_its_rotor(rotor, loss):
     (event,), open_, warnings = heard(flight(loss, rotor), [claim(rotor + 1)])
     assert event.rotors == (rotor + 1,) and not event.alternatives and not open_ and not warnings
+
+
+@pytest.mark.parametrize(("low", "named"), [(0.0, False), (0.03, False), (0.04, True)])
+def test_a_loss_that_may_be_none_is_not_certain(low, named, monkeypatch):
+    """By the interval of 95 % of a loss of 0.2: 0.033 is its lower bound where it is above 0 with 99 %."""
+    faint, seen = replace(claim(1), interval=((low, 0.4 - low),)), view(flight(0.3))
+    evidence = Event(EVIDENCE, (1,), ONSET_S, ONSET_S + 5.0, ONSET_S + 5.0, (), (), 0.5, source=remainder.SOURCE)
+    monkeypatch.setattr(rivals, "_event", lambda *given: faint)
+    for events, open_ in (rivals._confirmed(seen, faint, (faint,)), rivals._settled(seen, evidence, ())):
+        assert [e.rotors for e in events] == [(1,)] * named and [c.rotors for c in open_] == [(1,)] * (not named)
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,7 @@ SOURCE, HEARD = Source(SCAN, 3), Source("balance", 3)
 BEFORE_S, AFTER_S, OVER_S = 10.0, 20.0, 8.0  # s of the comparison: before the onset; after the detection, or the growth; after the end
 SHORTEST_S, BRIEF_S = 3.0, 1.0  # of motion after the onset; of a loss that is over
 MARGIN_S = 1.0  # about an end: it is known no better, and rotors may recover in some tenths of a second
+FAINT = 0.16  # of a loss: the least lower bound of its interval, 1 - 1.96 / 2.33
 LANDED_S = 1.0  # of the log after motion that could refute a loss
 FALL_S = 4.0  # before a loss of control: what follows is the fall
 FALLING_S, LEAST_S = 1.0, 0.2  # from then on, motion that tells rotors apart; the least
@@ -302,7 +303,8 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
     if decision is Decision.DROPPED:
         view.warnings.append(_warning(event))
         return [], []
-    return ([], [_opened(event, stated(found.claim * (1.0 - found.common)))]) if decision is Decision.OPEN else ([_named(event, found)], [])
+    doubted = decision is Decision.OPEN or _faint(event)
+    return ([], [_opened(event, stated(found.claim * (1.0 - found.common)))]) if doubted else ([_named(event, found)], [])
 
 
 def _falling(view: View, event: Event, events: Sequence[Event], fall_s: float) -> Event:
@@ -332,6 +334,11 @@ def _unreported(view: View, event: Event) -> bool:
     return after.sum() * view.clear.dt < SHORTEST_S and view.flight.duration > event.onset_s + SHORTEST_S + LANDED_S
 
 
+def _faint(event: Event) -> bool:
+    """True for a loss that is not above 0 with 99 %, by its interval of 95 %: loss - low < 2.33 / 1.96 loss."""
+    return any(low < FAINT * loss for loss, (low, _) in zip(event.loss, event.interval))
+
+
 def _total(event: Event) -> bool:
     """True for a loss that may be total: it is seen at once."""
     return any(high >= 1.0 for _, high in event.interval)
@@ -351,7 +358,8 @@ def _settled(view: View, claim: Event, events: Sequence[Event]) -> tuple[list[Ev
     found, decision = _weighed(view, claim, events, False)
     who = None if found is None else found.likeliest(claim.rotors)
     if found is not None and who is not None and decision is Decision.LOSS:
-        return [_event(view, claim, who, found)], []
+        event = _event(view, claim, who, found)
+        return ([], [claim]) if _faint(event) else ([event], [])
     if found is not None and decision is Decision.SLOW:
         return [_slow(claim.onset_s, claim.onset_s + AFTER_S, int(np.argmax(found.slow)) + 1, found)], []
     return [], [claim] if decision is Decision.OPEN else []
