@@ -60,7 +60,7 @@ ELSE = (
     PUSH,
     Rival("push grows", Explanation(push=0.5, step=1.0, swells=0.07)),
     Rival("shift", Explanation(step=1.0, load=1.0)),
-    *(Rival(f"move 0.04, lever {lever:g}", Explanation(drift=0.04, lever=lever, load=1.0)) for lever in (0.0, 14.0)),
+    *(Rival(f"move {x:g}, lever {y:g}", Explanation(drift=x, lever=y, load=1.0)) for x in (0.01, 0.04) for y in (0.0, 14.0)),
     Rival("wrench 3", Explanation(step=1.0, force=3.0)),
 )  # fmt: skip
 PASSED = " passes"  # of a push that is over
