@@ -72,6 +72,8 @@ NAMED: dict[str, tuple[str, ...]] = {
     "engine/bindings/explaining.py": ("rivals", "pushes"),
     "witnesses/odds.py": ("odds", "rivals"),
     "witnesses/pushes.py": ("pushes",),
+    "witnesses/comparing.py": ("rivals", "pushes"),
+    "witnesses/ends.py": ("rivals",),
     "logs/raw_sensors.py": ("balance",),
     "engine/estimator/explanations.py": ("rivals", "pushes"),
     "engine/motion/ground_contact.py": ("rivals", "near_ground"),

@@ -8,7 +8,7 @@ import pytest
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.bindings.explaining import Explanation, compare, span
 from rotorwatch.engine.bindings.program import estimate
-from rotorwatch.witnesses import pushes, rivals
+from rotorwatch.witnesses import comparing, pushes
 from test_rivals import DT, ONSET_S, QUAD, claim, flight, pushed, view
 
 END_S = ONSET_S + 12.0
@@ -63,7 +63,7 @@ def test_what_the_side_force_says_decides_between_a_push_and_a_loss():
     calm = flight(trim=moment)
     nats = []
     for ticks in (aside(calm, 0.0), calm, aside(calm, 2.0)):
-        found = rivals.weigh(view(ticks), claim(2), ())
+        found = comparing.weigh(view(ticks), claim(2), ())
         assert found is not None
         rows = {(r.name, r.rotors): r.log_p for r in found.rows if not r.beside}
         nats.append(rows["push", ()] - rows["loss", (1,)])
@@ -72,10 +72,10 @@ def test_what_the_side_force_says_decides_between_a_push_and_a_loss():
 
 def test_a_brief_push_explains_a_loss_whose_end_nobody_has_seen():
     ticks = pushed(END_S, 0.3)
-    found = rivals.weigh(view(aside(ticks, 2.0, END_S)), claim(2), ())
+    found = comparing.weigh(view(aside(ticks, 2.0, END_S)), claim(2), ())
     assert found is not None
     best = max((r for r in found.rows if not r.rotors), key=lambda r: r.log_p)
-    assert best.name == rivals.PUSH.name + rivals.PASSED and found.weighed().none > 0.99
+    assert best.name == comparing.PUSH.name + comparing.PASSED and found.weighed().none > 0.99
 
 
 def test_a_push_takes_thrust():
@@ -101,18 +101,23 @@ def test_the_side_force_speaks_of_pushes_that_begin_at_once():
     """At the begin, and where the change is over with the push, at the end; not of what grows, or of no push."""
     where = ticks_around(flight())
     begins, ends = pushes.Shove(2.0, 0.1), pushes.Shove(1.0, 0.1)
-    grows = next(r for r in rivals.ELSE if r.how.swells)
-    them = [rivals.Rival("nothing", Explanation()), rivals.PUSH, rivals.PUSH._replace(how=rivals.PUSH.how._replace(end_s=END_S)), grows]
+    grows = next(r for r in comparing.ELSE if r.how.swells)
+    them = [
+        comparing.Rival("nothing", Explanation()),
+        comparing.PUSH,
+        comparing.PUSH._replace(how=comparing.PUSH.how._replace(end_s=END_S)),
+        grows,
+    ]
     lift = 4.0 * begins.lift
     fits = compare(where, [r.how._replace(lift=lift if r.how.push else 0.0) for r in them])
-    reported = rivals._fitted(where, them, END_S, (begins, ends))
+    reported = comparing._fitted(where, them, END_S, (begins, ends))
     more = [a.log_p - b.log_p for a, b in zip(reported, fits, strict=True)]
     assert more == pytest.approx([0.0, begins.log_odds, begins.log_odds + ends.log_odds, 0.0], abs=1e-9)
 
 
 def test_losses_that_follow_each_other_at_once_are_compared():
     ticks, both = flight(), [claim(2), claim(3, onset=ONSET_S + 2.0)]
-    assert all(rivals.weigh(view(ticks), one, both) is not None for one in both)
+    assert all(comparing.weigh(view(ticks), one, both) is not None for one in both)
 
 
 def test_a_push_that_is_over_leaves_the_trim_as_it_is():

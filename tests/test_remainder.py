@@ -7,10 +7,10 @@ import pytest
 
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.toolkit import odds
-from rotorwatch.witnesses import remainder, rivals
+from rotorwatch.witnesses import comparing, remainder
 from test_rivals import ONSET_S, QUAD, claim, flight, heard, view
 
-LATER_S = ONSET_S + rivals.AFTER_S + 3.0
+LATER_S = ONSET_S + comparing.AFTER_S + 3.0
 FIRST = replace(claim(2), loss=(0.3,), interval=((0.2, 0.4),))
 
 
@@ -24,7 +24,7 @@ def flown(second=0.0, missing=0.3):
 
 def claimed(ticks, known=(FIRST,)):
     seen = view(ticks)
-    return list(remainder.claims(seen, known, rivals._missing(ticks, known)))
+    return list(remainder.claims(seen, known, comparing.missing(ticks, known)))
 
 
 def test_a_second_loss_is_found_beside_a_known_one():

@@ -14,13 +14,13 @@ from rotorwatch.engine.motion.tick_table import ASSESS, HOVER_LEARN_S, LEARN, RE
 from rotorwatch.flight import Flight
 from rotorwatch.flight.diagnosis import Event
 from rotorwatch.flight.kinds import EVIDENCE, LOSS, LOST, OVERRIDE, SLOW_RESPONSE
-from rotorwatch.witnesses import near_ground, remainder, rivals
+from rotorwatch.witnesses import comparing, near_ground, remainder, rivals
 from rotorwatch.witnesses.odds import Decision
 from rotorwatch.witnesses.witness import View
 
 DT, ONSET_S, SECONDS = 0.05, 25.0, 60.0
 QUAD = airframes.named("ardupilot-quad-x").effectiveness()
-THEM = rivals.rivals(4, (0,), 35.0)
+THEM = comparing.rivals(4, (0,), 35.0)
 WIND = np.array([0.35, 0.2, 0.0, 0.0])  # hover thrusts of one rotor, about roll and pitch: no rotor's direction
 
 
@@ -136,7 +136,7 @@ def pushed(end=np.inf, rate=0.8):
 def test_a_push_turns_against_a_vehicle_that_turns():
     """With the heading it is explained; as a step of the trim, or of a loss, it is not."""
     ticks = pushed()
-    found, other = (rivals.weigh(view(t), claim(2), ()) for t in (ticks, replace(ticks, rate=-ticks.rate)))
+    found, other = (comparing.weigh(view(t), claim(2), ()) for t in (ticks, replace(ticks, rate=-ticks.rate)))
     assert found is not None and other is not None and found.weighed().none > 0.99
 
     def ahead(claim):
@@ -149,10 +149,10 @@ def test_a_push_turns_against_a_vehicle_that_turns():
 @pytest.mark.parametrize("rate", [0.0, 0.8])
 def test_what_passes_when_the_claimed_loss_does_is_no_loss(rate):
     end = ONSET_S + 12.0
-    found = rivals.weigh(view(pushed(end, rate)), claim(2, end=end), ())
+    found = comparing.weigh(view(pushed(end, rate)), claim(2, end=end), ())
     assert found is not None and found.decided(found.weighed()) is Decision.DROPPED
     best = max((r for r in found.rows if not r.weak and not r.beside), key=lambda r: r.log_p)
-    assert best.name.endswith(rivals.PASSED)
+    assert best.name.endswith(comparing.PASSED)
 
 
 def test_a_loss_that_a_tumble_hides_stays_open():
@@ -194,13 +194,13 @@ def test_the_wrong_rotor_is_not_left_alone():
 
 def test_every_rotors_loss_is_tried_beside_the_likeliest_disturbances():
     """Only the claimed one ends: an end opens the trim once more."""
-    found = rivals.weigh(view(flight(0.3, end=ONSET_S + 10.0)), claim(1, end=ONSET_S + 10.0), ())
+    found = comparing.weigh(view(flight(0.3, end=ONSET_S + 10.0)), claim(1, end=ONSET_S + 10.0), ())
     assert found is not None
     tried = [r.rotors for r in found.rows if r.group == "loss" and r.beside]
-    assert sorted(tried) == sorted([(i,) for i in range(4)] * rivals.COMPANIONS)
-    assert {r.how.end_s for r in rivals.beside(4, (0,), 35.0, THEM, np.zeros(len(THEM))) if r.name == "loss" and r.how.rotors != (0,)} == {
-        np.inf
-    }
+    assert sorted(tried) == sorted([(i,) for i in range(4)] * comparing.COMPANIONS)
+    assert {
+        r.how.end_s for r in comparing.beside(4, (0,), 35.0, THEM, np.zeros(len(THEM))) if r.name == "loss" and r.how.rotors != (0,)
+    } == {np.inf}
 
 
 def test_a_step_beside_a_loss_does_not_give_its_thrust_back():
@@ -209,7 +209,7 @@ def test_a_step_beside_a_loss_does_not_give_its_thrust_back():
     where = span(ticks, QUAD, learned, ONSET_S, 10.0, ONSET_S + 10.0, np.zeros_like(ticks.thrust))
     whole, level, none = (fit.log_p for fit in compare(where, [Explanation(step=1.0), Explanation(step=1.0, lifts=False), Explanation()]))
     assert whole > level + 10.0 and level == pytest.approx(none, abs=10.0)
-    tried = rivals.beside(4, (0,), 35.0, THEM, np.zeros(len(THEM)))
+    tried = comparing.beside(4, (0,), 35.0, THEM, np.zeros(len(THEM)))
     assert {r.how.lifts for r in tried if r.name == "loss"} == {False} and all(r.how.lifts for r in THEM)
 
 
@@ -228,7 +228,7 @@ def test_a_change_that_was_taken_for_a_disturbance_ends_a_loss_only_where_the_mo
 
 
 def test_a_slow_motor_elsewhere_is_no_loss_here():
-    found = rivals.weigh(view(flight(late_s=0.15, rotor=1)), claim(1), ())
+    found = comparing.weigh(view(flight(late_s=0.15, rotor=1)), claim(1), ())
     assert found is not None and found.weighed().none > 0.9
 
 
@@ -285,7 +285,7 @@ def test_a_load_that_shifts_weighs_with_the_thrust():
 
     ticks = flight(trim=shifted)
     ticks = replace(ticks, load=ticks.load + more(ticks.time) / 4.0)
-    found = rivals.weigh(view(ticks), claim(1), ())
+    found = comparing.weigh(view(ticks), claim(1), ())
     assert found is not None and found.weighed().claim < 0.01 and found.weighed().none > 0.8
     nats = {r.name: r.log_p for r in found.rows if not r.beside}
     assert nats["shift"] > nats["step 1"] + 20.0
@@ -376,7 +376,7 @@ def test_what_moves_on_the_ground_is_no_evidence():
     seen, other = view(landed), view(leaning)
     assert seen.clear is not None and not seen.clear.valid[seen.ground].any() and seen.clear.valid[~seen.ground].any(axis=1).all()
     other.learned = seen.learned
-    one, two = (rivals.weigh(v, claim(2, 50.0), ()) for v in (seen, other))
+    one, two = (comparing.weigh(v, claim(2, 50.0), ()) for v in (seen, other))
     assert one is not None and two is not None
     np.testing.assert_allclose(one.logs(), two.logs())
-    assert rivals.weigh(seen, claim(2, 53.0), ()) is None  # too little is flown after it
+    assert comparing.weigh(seen, claim(2, 53.0), ()) is None  # too little is flown after it

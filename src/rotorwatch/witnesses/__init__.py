@@ -6,8 +6,10 @@ excitation_response.py   the response to an excitation of the commands
 attainable.py            every thrust and moment that a vehicle can still give, and its margins in hover
 null_space.py            commands that move nothing, and the noise that their effect is seen in
 near_ground.py           losses that the ground explains as well
-rivals.py                losses compared with what else explains the motion that followed
+rivals.py                what becomes of losses beside what else explains the motion
+comparing.py             a loss compared with what else explains the motion that followed
 odds.py                  weights and probabilities of these explanations
+ends.py                  whether a loss was over, by the motion after it
 pushes.py                what the side force says of a push
 remainder.py             losses in the motion that known losses leave
 leaning.py               a lasting lateral force at rest: contact, however slowly it began
