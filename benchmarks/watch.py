@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import importlib
 import multiprocessing
 import socket
 import statistics
@@ -26,9 +27,9 @@ import numpy as np
 
 def packed(path: str, vehicles: int, seconds: float) -> tuple[list[list[bytes]], list[list[bytes]]]:
     """(the frames that are sent together, vehicle after vehicle, 50 times a second; heartbeat and parameters of each vehicle)."""
-    from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
     from rotorwatch import logs
+
+    mavlink = importlib.import_module("pymavlink.dialects.v20.ardupilotmega")  # its types alone would take a minute to check
 
     flight = logs.read(path)
     packs = [mavlink.MAVLink(None, srcSystem=k + 1, srcComponent=1) for k in range(vehicles)]

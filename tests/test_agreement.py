@@ -51,7 +51,7 @@ def simulated(frame, k):
 @pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("frame", ["hexa-x", "quad-x"])
 def test_simulated_flights(frame, amount):
-    answers = [rw.diagnose(simulated(frame, k)) for k in range(0, len(FAULTS), amount(2, 1))]
+    answers = [rw.diagnose(simulated(frame, k)) for k in range(0, len(FAULTS), amount(3, 1))]
     answers += [rw.diagnose(simulated(frame, k), baseline=[simulated(frame, 0)]) for k in range(1, amount(3, 6))]
     answers.append(rw.diagnose(simulated(frame, 1).until(7.0)))  # hardly assessed
     assert {a.verdict for a in answers} >= {"healthy", "fault", "inconclusive"}
@@ -59,7 +59,7 @@ def test_simulated_flights(frame, amount):
     assert {f"{k}: {fault}" for k, a in enumerate(plotted) for fault in walk(a)} == set()
 
 
-@pytest.mark.thorough(keep=2)
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("path", WILD or ["missing"], ids=lambda p: getattr(p, "name", p))
 def test_logs_as_people_leave_them_lying_about(path):
     if not WILD:

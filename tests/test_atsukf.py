@@ -191,6 +191,7 @@ def test_motors_off_say_nothing_of_losses():
     np.testing.assert_allclose(out.theta_cov[-1], (0.3 + 20 * 0.001) * np.eye(6), atol=1e-9)
 
 
+@pytest.mark.thorough(keep=2)
 @each_method
 def test_clipping_keeps_losses_in_the_unit_interval(method, plant, table):
     clipped, _ = walk(method(plant, DT, **TUNING, clip=True), *table)
@@ -202,6 +203,7 @@ def test_biases_are_not_clipped():
     np.testing.assert_array_equal(limit(np.array([-0.5, 1.5, -3.0])), [0.0, 1.0, -3.0])
 
 
+@pytest.mark.thorough(keep=1)
 @each_method
 def test_a_longer_step_is_taken_as_one(method):
     """A step length said at each step is the same as having been made for it."""

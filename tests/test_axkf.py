@@ -251,6 +251,7 @@ def hexa(**options):
     return RateDynamics.of(airframes.paper("rot-hexa") | options)
 
 
+@pytest.mark.thorough(keep=2)
 @each_method
 def test_on_rate_dynamics_a_weak_rotor_is_found(method):
     """Thrusts that vary, gaps, NaN; losses are felt by the accelerometer at once."""
@@ -291,7 +292,8 @@ def test_a_memory_lasts_some_samples_where_losses_outnumber_measurements():
     assert inside(0.1) == 1.0 and inside(2.5) == 2.5
 
 
-@pytest.mark.parametrize("method", (EKF, AXKF), ids=lambda m: m.name)
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize("method", (AXKF, EKF), ids=lambda m: m.name)
 def test_plants_may_be_built_inside_a_compiled_program(method):
     plant = hexa()
 
@@ -304,6 +306,7 @@ def test_plants_may_be_built_inside_a_compiled_program(method):
     np.testing.assert_allclose(jax.jit(last)(plant.J, plant.B_tau), expected, atol=1e-9)
 
 
+@pytest.mark.thorough(keep=2)
 @each_method
 def test_two_half_steps_leave_as_much_uncertainty_as_one(method):
     """Time steps may change: random walk and forgetting follow the time passed."""

@@ -140,6 +140,7 @@ def test_one_bit_of_the_last_time_stamp(tmp_path, message, bit):
     assert any("time stamp" in w for w in flight.warnings)
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("bit", [23, 26, 31])
 def test_one_bit_of_the_first_time_stamp(tmp_path, bit):
     path = tmp_path / "log.bin"
@@ -149,6 +150,7 @@ def test_one_bit_of_the_first_time_stamp(tmp_path, bit):
     assert abs(flight.start_us - intact.start_us) < 0.5e6
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("bit", [23, 26, 36])
 @pytest.mark.parametrize("last", [True, False])
 def test_one_bit_of_a_ulogs_stamp(ulog, tmp_path, bit, last):

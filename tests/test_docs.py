@@ -1,6 +1,7 @@
 """What the documents say is so: commands, examples, links, names and tables."""
 
 import ast
+import functools
 import itertools
 import lzma
 import re
@@ -46,6 +47,7 @@ def prose(text):
     return re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
 
 
+@functools.cache
 def anchors(page):
     """What headings of a page can be linked to by, as code hosts make it of them."""
     heads = re.findall(r"^#+ (.*)$", prose(page.read_text()), re.MULTILINE)
@@ -78,12 +80,16 @@ def test_named_files_exist(page):
         assert "NAME" in path or any((home / path).exists() for home in homes), f"{path} does not exist"
 
 
+@functools.cache
+def sources():
+    return {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {p.name for p in ROOT.glob("*.py")}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_named_sources_exist(page):
     """`bank.py` and its like, wherever they stand, also in diagrams."""
-    sources = {path.name for folder in SOURCES for path in (ROOT / folder).rglob("*.py")} | {p.name for p in ROOT.glob("*.py")}
     named = set(re.findall(r"(\w+\.py)\b", page.read_text())) - {"NAME.py"}
-    assert named <= sources, named - sources
+    assert named <= sources(), named - sources()
 
 
 def test_a_term_is_explained_once():

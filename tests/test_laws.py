@@ -184,8 +184,8 @@ def published():
     return {name: kind for name, kind in discovery.estimators().items() if name != "default"}
 
 
-# Methods whose laws are always tried on a hexacopter as well: as different from each other as they are.
-HEXA_TOO = ("mh_lyapunov", "tsukf")
+# A method whose laws are always tried on a hexacopter as well.
+HEXA_TOO = ("tsukf",)
 CASES = [(name, make) for name in published() for make in (rates_quad, rates_hexa)]
 
 
@@ -422,8 +422,8 @@ def test_law_of_the_default(law):
     law(case_of("default", wrench_quad))
 
 
-# Methods as different from each other as they are; the others with --thorough.
-USUAL = {many_flights_at_once_are_the_same_as_one_by_one: ("ekf", "imm"), compiled_is_the_same_as_not: ("ukf", "mhe")}
+# JAX batches and compiles what a step is made of, whichever method; the others with --thorough.
+USUAL = {many_flights_at_once_are_the_same_as_one_by_one: ("imm",), compiled_is_the_same_as_not: ("ukf",)}
 SLOW = [
     pytest.param(name, make, law, marks=[] if name in USUAL[law] else pytest.mark.thorough, id=f"{name}-{law.__name__}")
     for name, make in SLOW_CASES
@@ -601,7 +601,7 @@ def memory_is_a_time(kind):
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[] if name in ("adaptive_ekf", "atsukf", "irls") else pytest.mark.thorough)
+        pytest.param(name, marks=[] if name in ("adaptive_ekf", "irls") else pytest.mark.thorough)
         for name in published()
         if name not in NO_MEMORY
     ],
@@ -632,7 +632,7 @@ def test_on_linear_plants_it_is_the_kalman_filter(name):
     on_linear_plants_it_is_the_kalman_filter(discovery.estimator(name))
 
 
-@pytest.mark.thorough(keep=6)
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize(
     "name", [n for n in published() if n not in (*NO_POSTERIOR, *ONE_AT_A_TIME, *MEASURED, "mhe")]
 )  # mhe has no theta_var

@@ -143,6 +143,7 @@ def test_a_path_that_keeps_only_the_heartbeats_does_not_hide_that_the_other_is_g
     assert 34.0 < again["at"] < 35.0
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("fades", ["a", "b"])
 def test_of_two_paths_of_one_vehicle_either_may_fade_and_nothing_is_taken_twice(fades, undisturbed):
     frames, late = base(FAULTY)[0], 0.3  # the second path is the slower one, and numbers its frames itself

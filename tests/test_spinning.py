@@ -124,7 +124,8 @@ def board(tmp_path_factory):
     return reported
 
 
-@pytest.mark.parametrize("losses", [ONE, THEN_OPPOSITE, AT_ONCE, OVER])
+@pytest.mark.thorough(keep=2)
+@pytest.mark.parametrize("losses", [AT_ONCE, ONE, THEN_OPPOSITE, OVER])
 def test_a_board_tells_what_a_log_tells(board, losses):
     events, verdict = board(losses)
     desk = {sum(1 << r - 1 for r in e.rotors): e for e in answer(losses).events if e.kind == LOSS}

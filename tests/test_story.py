@@ -184,6 +184,7 @@ def test_a_flight_under_control_has_no_story():
     assert reported(hexa_event()) == []
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("case", ["climb", "disarmed"])
 def test_no_view_of_a_crash_has_a_sign_that_all_was_well(case):
     given = case, 50.0 if case == "climb" else 10.0

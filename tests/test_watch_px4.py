@@ -34,7 +34,8 @@ def loss(events):
     return one
 
 
-@pytest.mark.parametrize("name, rotor, truth", [(HEXA, 5, 1.0), (EXCHANGED, 3, 0.4)])
+@pytest.mark.thorough(keep=1)
+@pytest.mark.parametrize("name, rotor, truth", [(EXCHANGED, 3, 0.4), (HEXA, 5, 1.0)])
 def test_telemetry_is_answered_as_the_vehicles_own_log_is(name, rotor, truth):
     """A hexa whose heartbeat tells of a quadrotor, and a quad with outputs 1 and 3 exchanged by their functions."""
     path = radio(name)
