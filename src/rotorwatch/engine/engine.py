@@ -168,7 +168,12 @@ class Engine(Struct):
             overridden = self.front.sure[0].found(v, room.overrides)
         else:
             overridden = self.front.deviations.found(v, room.overrides)
-        count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        reached = 0
+        for i in range(overridden):  # ticks that still wait may show that the vehicle fell before
+            if room.overrides[i].onset <= self.report.now:
+                copy(room.overrides[reached], room.overrides[i])
+                reached += 1
+        count = self.report.events(v, room.losses, lost, room.overrides, reached, self.events)
         count = self.spin.join(self.events, count, EVENTS)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
         for i in range(self.count):
