@@ -184,6 +184,21 @@ def test_drifting_velocity_on_the_ground_is_no_flight():
     assert 19.7 < start < 21 and 39.7 < end < 40.3
 
 
+@pytest.mark.parametrize("again", [False, True])
+def test_a_command_that_has_just_not_carried_the_vehicle_does_not_lift_it(again):
+    """The rotors push on for some seconds after the touch-down, far above their idle, while the velocity says that it climbs."""
+    flight = made_up([(10, 30), (33, 45)] if again else [(10, 30)], idle=0.03, noise=0.002)
+    motors, velocity = flight["motors"], flight["velocity"]
+    pushes, climbs = motors.values.copy(), velocity.values.copy()
+    after = (motors.time > 30.0) & (motors.time < 35.0)
+    pushes[after] = np.maximum(pushes[after], 0.17)
+    climbs[(velocity.time > 30.0) & (velocity.time < 33.0), 2] = -0.4
+    signals = {"motors": replace(motors, values=pushes), "velocity": replace(velocity, values=climbs)}
+    found = [(round(a), round(b)) for a, b in airborne(replace(flight, signals={**flight.signals, **signals}))]
+    assert found[0][1] == 30 and len(found) == 1 + again
+    assert not again or (33 <= found[1][0] <= 34 and found[1][1] == 45)
+
+
 def test_a_stale_landed_word_does_not_hide_a_climb():
     flight = replace(made_up([(10, 50)]), messages=(Message(0.0, "landed", "landed", 1.0),))
     ((start, _),) = airborne(flight)

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from conftest import trials
 from rotorwatch import airframes
 from rotorwatch.answer.conclusion import main_event
+from rotorwatch.engine import engine
 from rotorwatch.engine.bindings import event_rows
 from rotorwatch.engine.definition import ENGINE
 from rotorwatch.engine.events import calls
 from rotorwatch.engine.events import changes as front_changes
 from rotorwatch.engine.events import events as listed
+from rotorwatch.engine.intake.craft import Vehicle
 from rotorwatch.engine.intake.sizes import EVENTS
 from rotorwatch.engine.motion.knocks import Contact
 from rotorwatch.flight.diagnosis import Event
@@ -69,6 +71,22 @@ def test_an_override_that_begins_in_the_fall_is_the_fall():
     assert report.events((loss(21.2),), (early, late)) == (early, loss(21.2))
     calm = flown(30.0, air, upset=[(10.0, 20.0)]).finish(air)  # it caught itself
     assert calm.events((loss(21.2),), (late,)) == (late,)
+
+
+@pytest.mark.parametrize("upset, reported", [(False, 1), (True, 0)])
+def test_on_board_an_override_waits_for_the_ticks_of_its_onset(upset, reported):
+    """Ticks wait near a possible landing, while outputs are compared at once: the vehicle may have fallen before it."""
+    board, craft = engine.Engine(), Vehicle()
+    craft.rotors = 4
+    one = board.front.deviations.overrides[0]
+    one.onset, one.detected, one.rotor = 12.0, 12.3, 1
+    board.front.deviations.overrides_count = 1
+    board.report.tick(11.0, 2.0, upset)
+    board.poll(craft)
+    assert board.count == 0
+    board.report.tick(12.0, 2.0, upset)
+    board.poll(craft)
+    assert board.count == reported
 
 
 def test_a_contact_is_reported_once_it_cannot_be_the_landing():

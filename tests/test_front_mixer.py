@@ -335,6 +335,25 @@ def test_a_mixer_beyond_its_limits_gives_up_yaw_that_it_grants_within_them(fly):
     assert off[there].all() and not off[~there].any()
 
 
+def test_a_mixer_that_does_not_raise_the_throttle_gives_up_tilt(fly):
+    """PX4 without airmode takes roll and then pitch from an output that is at zero, as after a touch-down."""
+    control = demands()
+    there = after(20.0) & ~after(24.0)
+    control[there] = np.linspace([-0.3, -0.3, 0.05, 0.25], [-0.25, -0.3, 0.05, 0.12], int(there.sum()))
+    given_up = control.copy()
+    for k in np.flatnonzero(there):
+        least = (control[k] * [1.0, 1.0, 0.0, 1.0]) @ FACTORS[2]  # of the lowest output, which has no other limit
+        given_up[k, 0] -= 2.0 * min(least, 0.0)
+    outputs = np.maximum(given_up @ FACTORS.T, 0.0)
+    flight = fly(control, outputs)
+    assert (np.abs(numbers(flight.comparisons, "deviation"))[there] > mixer.PART).any() and not flight.found()
+    raised = control @ FACTORS.T
+    raised -= np.minimum(raised.min(axis=1, keepdims=True), 0.0)
+    assert not fly(control, raised).found()
+    raised[after(20.5) & ~after(22.0), 0] += 0.5  # by nothing that is given up
+    assert [o[:2] for o in fly(control, raised).found()] == [(0, OVERRIDDEN)]
+
+
 @pytest.mark.parametrize("asked", [-0.05, 0.1])
 def test_an_output_rests_at_its_minimum_where_the_mixer_asks_for_that(fly, asked):
     """The controller takes one output to its end, against a vehicle that is held or whose motors are swapped; or it does not."""

@@ -303,7 +303,6 @@ def test_explanations_are_alike_until_the_onset_and_independent_of_their_order()
     none = compare(replace(where, onset=len(where.ticks.time)), them)
     assert {f.log_p for f in none} == {0.0}
     assert fits[0].log_p == max(f.log_p for f in fits) and fits[0].loss[0] == pytest.approx(0.3, abs=0.03)
-    assert fits[0].square == pytest.approx(1.0, abs=0.6)
 
 
 def test_losses_that_are_no_question_are_taken_out():

@@ -9,14 +9,13 @@ and keeps the ticks (`feed`). Both do the same in the same order.
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import LASTS, REAL, Real, Reals, Small, Struct, Time, array, copy, embedded, isnan, local, real
+from rotorwatch.base.compiling.structs import LASTS, REAL, Real, Reals, Small, Struct, Time, array, copy, embedded, local, real
 from rotorwatch.engine.drift.many import SLICES
 from rotorwatch.engine.drift.trim import Trim
 from rotorwatch.engine.drift.weighing import IDLE
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.hypotheses import hypothesis_count
 from rotorwatch.engine.estimator.plant import Inputs, Plant
-from rotorwatch.engine.events.carried import STILL
 from rotorwatch.engine.events.changes import Change, Changes
 from rotorwatch.engine.events.events import AMBIGUOUS, HEALTHY, LOSS, Event, Report, main_event, verdict
 from rotorwatch.engine.events.losses import Losses
@@ -169,7 +168,12 @@ class Engine(Struct):
             overridden = self.front.sure[0].found(v, room.overrides)
         else:
             overridden = self.front.deviations.found(v, room.overrides)
-        count = self.report.events(v, room.losses, lost, room.overrides, overridden, self.events)
+        reached = 0
+        for i in range(overridden):  # ticks that still wait may show that the vehicle fell before
+            if room.overrides[i].onset <= self.report.now:
+                copy(room.overrides[reached], room.overrides[i])
+                reached += 1
+        count = self.report.events(v, room.losses, lost, room.overrides, reached, self.events)
         count = self.spin.join(self.events, count, EVENTS)
         self.count = self.trim.mount.put(self.events, count, EVENTS)
         for i in range(self.count):
@@ -231,8 +235,7 @@ def _tell(v: Vehicle, made: Made, now: Inputs) -> None:
     now.full = 1.0 / made.hover
     now.expo = v.expo
     now.expo_sd = v.expo_sd
-    now.axial = 0.0 if isnan(made.axial) else made.axial
-    now.still = not isnan(made.axial) and abs(now.axial) <= STILL
+    now.climb(made.axial)
     now.mode = made.mode
     now.restart = made.restart or made.touch.hit
     now.hop = made.restart and not made.touch.hit

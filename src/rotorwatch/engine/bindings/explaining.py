@@ -47,10 +47,9 @@ class Explanation(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """log_p: evidence, relative to nothing in particular. square (4,): mean square of the normalised innovations. loss, sd (n,)."""
+    """log_p: evidence, relative to nothing in particular. loss, sd (n,)."""
 
     log_p: float
-    square: np.ndarray
     loss: np.ndarray
     sd: np.ndarray
 
@@ -132,5 +131,5 @@ def compare(where: Span, them: Sequence[Explanation]) -> list[Fit]:
     )  # fmt: skip
     state = ENGINE.new(estimator.Estimator)
     ENGINE.call(explanations.explain, plant, state, noise, len(time), *tables, where.onset, len(them), rows, others)
-    fit, square, loss, sd = rows["fit"], rows["square"], rows["loss"][:, :n], np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))
-    return [Fit(float(fit[k]), square[k].copy(), loss[k].copy(), sd[k]) for k in range(len(them))]
+    fit, loss, sd = rows["fit"], rows["loss"][:, :n], np.sqrt(np.maximum(rows["variance"][:, :n], 0.0))
+    return [Fit(float(fit[k]), loss[k].copy(), sd[k]) for k in range(len(them))]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import Flags, Reals, isnan, real
+from rotorwatch.base.compiling.structs import Flags, Reals, real
 from rotorwatch.engine.estimator.estimator import Estimator, Result
 from rotorwatch.engine.estimator.plant import Inputs, Plant, set_plant
-from rotorwatch.engine.events.carried import STILL
 from rotorwatch.engine.intake.ticks import AGAIN
 
 
@@ -41,8 +40,7 @@ def take(p: Plant, u: Reals, first: int, now: Inputs) -> None:
     now.full = u[first + 9]
     now.expo = u[first + 10]
     now.expo_sd = u[first + 11]
-    now.axial = 0.0 if isnan(u[first + 12]) else u[first + 12]
-    now.still = not isnan(u[first + 12]) and abs(now.axial) <= STILL
+    now.climb(u[first + 12])
 
 
 def begin(p: Plant, e: Estimator) -> None:

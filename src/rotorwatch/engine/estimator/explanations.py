@@ -54,7 +54,6 @@ class Explanation(Struct):
     load: Real = 0.0  # share of the trim of roll and pitch that grows with the thrust of all rotors, as that of a centre of mass does
     moved = array(REAL, 2)  # trim of roll and pitch at the onset
     fit: Real = 0.0  # log p
-    square = array(REAL, 4)  # mean square of the normalised innovations from the onset on
     loss = array(REAL, ROTORS)  # at its end
     variance = array(REAL, ROTORS)
     thrust = array(REAL, ROTORS)  # of the rotors that lag, at this tick
@@ -86,9 +85,6 @@ def explain(
     e.branches.all[0].weight = 0.0
     for k in range(many):
         them[k].fit = 0.0
-        for a in range(4):
-            them[k].square[a] = 0.0
-    assessed = 0.0
     wrench = local(REAL, 4)
     begin = onset + max(int(SETTLES_S / p.dt), 1)
     for t in range(count):
@@ -121,11 +117,6 @@ def explain(
             for a in range(4):
                 e.measured.y[a] = wrench[a]
             _update(p, e, others[k - 1], them[k], now, True, t >= begin)
-        if t >= onset:
-            assessed += 1.0
-    for k in range(many):
-        for a in range(4):
-            them[k].square[a] /= max(assessed, 1.0)
     if them[0].end >= count:
         _read(p, e.branches.all[0], them[0])
     for k in range(1, many):
@@ -169,9 +160,7 @@ def _update(p: Plant, e: Estimator, one: Branch, how: Explanation, now: Inputs, 
         one.update(p, e.rows, m, e.seen.gain_share)
     for a in range(4):
         if changed and m.counts[a]:
-            away = one.innovation[a] * one.innovation[a] / one.S[a]
-            how.fit -= 0.5 * (log(one.S[a]) + away)
-            how.square[a] += away
+            how.fit -= 0.5 * (log(one.S[a]) + one.innovation[a] * one.innovation[a] / one.S[a])
 
 
 def _change(p: Plant, one: Branch, how: Explanation, t: int, onset: int) -> None:

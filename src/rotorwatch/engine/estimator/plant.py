@@ -16,9 +16,10 @@ The state x is (b1, b2, b3, G, c) of each axis, where thrust, which has no dampi
 
 from __future__ import annotations
 
-from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, real, sqrt
+from rotorwatch.base.compiling.structs import FLAG, REAL, Real, Reals, Struct, array, exp, isnan, real, sqrt
 from rotorwatch.base.physics import G0
 from rotorwatch.engine.estimator.estimator_sizes import PLANT_STATES, ROTORS, STATES
+from rotorwatch.engine.events.carried import STILL
 from rotorwatch.engine.intake.craft import PITCH, ROLL, THRUST, YAW
 
 PER_AXIS = 5
@@ -90,6 +91,11 @@ class Inputs(Struct):
     hop: bool = False  # this restart is a new hop
     wrench = array(REAL, 4)
     valid = array(FLAG, 4)
+
+    def climb(self, axial: Real) -> None:
+        """Set the speed along the thrust axis, m/s; NaN: unknown."""
+        self.axial = 0.0 if isnan(axial) else axial
+        self.still = not isnan(axial) and abs(self.axial) <= STILL
 
 
 class Rows(Struct):

@@ -304,7 +304,7 @@ class Airborne(Struct):
         self.climbed = self.climbed + TICK_S * plain if above and plain > _CLIMB else 0.0
         if not above and not isnan(now.climb):
             self.drift_at_rest = _blend(self.drift_at_rest, now.climb, _IDLE_S)
-        lifted = self._lifted(time, now, climb)
+        lifted = self._lifted(time, now, climb, above)
         if lifted or self._climbs_away() or self._hovers_low(time, now):
             self.flying = True
             self.since = time
@@ -323,7 +323,7 @@ class Airborne(Struct):
             if now.command < self.idle + _RISE and not isnan(now.climb):
                 self.drift = _blend(self.drift, now.climb, _IDLE_S)
 
-    def _lifted(self, time: Time, now: Senses, climb: Real) -> bool:
+    def _lifted(self, time: Time, now: Senses, climb: Real, above: bool) -> bool:
         high_for = time - self.high_since if self.high_since < LASTS else 0.0
         if self.lying_since < LASTS:
             return False
@@ -333,7 +333,8 @@ class Airborne(Struct):
             return self.height > 5.0 * _HEIGHT
         if now.command < self.idle + _RISE:
             return False
-        if climb > _CLIMB or self.height > _HEIGHT or now.speed > _SPEED + 2.0 * abs(self.drift):
+        # A command by which it has just landed does not lift it, whatever the velocity says.
+        if (climb > _CLIMB and above) or self.height > _HEIGHT or now.speed > _SPEED + 2.0 * abs(self.drift):
             return True
         return high_for >= (_HIGH_BLIND_S if isnan(now.climb) else _HIGH_S)
 

@@ -458,28 +458,34 @@ def _single(rotors: int, c: Comparison, interior: Flags, deviation: Reals, known
     Where the demand cannot be met, a mixer gives up throttle, for all outputs alike, and a share of yaw. Outputs explained by this are
     not faulty, nor are outputs that all deviate by the same amount (a gain). The remaining deviation of an output is that under the share
     of yaw that suits it best, among those under which the others agree. Where even throttle and yaw do not suffice, each mixer gives up
-    tilt in its own way: no output is accused. interior: away from the limits.
+    tilt in its own way: no output is accused. Nor need a mixer raise the throttle for tilt (PX4 without airmode, ArduPilot by the share of
+    throttle and attitude): where roll and pitch take an output below zero, any part of each axis may be given up. interior: away from the
+    limits.
     """
     other = local(REAL, ROTORS)
     agreed = local(FLAG, ROTORS)
     least = c.demanded[0]
     most = c.demanded[0]
+    tilted: Real = 0.0
     _against_others(rotors, c, 0.0, interior, deviation, known)
     for k in range(rotors):
         least = min(least, c.demanded[k])
         most = max(most, c.demanded[k])
+        tilted = min(tilted, c.demanded[k] - c.yaw[k])
     if not most - least < 0.97 * c.top:
         for k in range(rotors):
             known[k] = False
         return
-    if c.yaw_granted and least >= 0.0 and most <= c.top:  # beyond its limits any mixer may give up the yaw that it grants within them
-        return
-    for i in range(1, _SHARES_OF_YAW):
-        _against_others(rotors, c, real(i) * 0.1, interior, other, agreed)
-        for k in range(rotors):
-            if agreed[k] and not (known[k] and abs(other[k]) > abs(deviation[k])):
-                deviation[k] = other[k]
-                known[k] = True
+    if not (c.yaw_granted and least >= 0.0 and most <= c.top):  # beyond its limits any mixer may give up the yaw it grants within them
+        for i in range(1, _SHARES_OF_YAW):
+            _against_others(rotors, c, real(i) * 0.1, interior, other, agreed)
+            for k in range(rotors):
+                if agreed[k] and not (known[k] and abs(other[k]) > abs(deviation[k])):
+                    deviation[k] = other[k]
+                    known[k] = True
+    for k in range(rotors):
+        if tilted < 0.0 and abs(deviation[k]) > PART and c.least[k] - PART < c.thrust[k] < c.most[k] + PART:
+            known[k] = False
 
 
 def _against_others(rotors: int, c: Comparison, share: Real, interior: Flags, deviation: Reals, agreed: Flags) -> None:

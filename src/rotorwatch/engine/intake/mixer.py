@@ -58,6 +58,8 @@ class Comparison(Struct):
     thrust = array(REAL, ROTORS)  # of the outputs, by the curve assumed by the mixer
     demanded = array(REAL, ROTORS)  # by the mixer, as if outputs had no limits
     yaw = array(REAL, ROTORS)  # yaw part of `demanded`
+    least = array(REAL, ROTORS)  # demand without those parts of roll, pitch and yaw that add to it
+    most = array(REAL, ROTORS)  # ... that take from it
     deviation = array(REAL, ROTORS)  # thrust minus what is demanded, within the limits
     output = array(REAL, ROTORS)  # in the outputs' unit
     top: Real = 0.0  # thrust of u_max
@@ -201,7 +203,14 @@ class Mixer(Struct):
         """Compute the demand of the mixer, by its present estimate, and the deviation of the outputs from it."""
         for k in range(v.rotors):
             c.demanded[k] = self._demanded(v, control, k)
-            c.yaw[k] = control[YAW] * (self.gain * v.mixer[k][YAW] if v.mixer_known else real(self.weights[YAW][k]))
+            c.least[k] = c.demanded[k]
+            c.most[k] = c.demanded[k]
+            for axis in range(3):
+                part = control[axis] * (self.gain * v.mixer[k][axis] if v.mixer_known else real(self.weights[axis][k]))
+                c.least[k] -= max(part, 0.0)
+                c.most[k] -= min(part, 0.0)
+                if axis == YAW:
+                    c.yaw[k] = part
             c.deviation[k] = c.thrust[k] - min(max(c.demanded[k], 0.0), c.top)
 
     def _demanded(self, v: Vehicle, control: Reals, k: int) -> Real:
