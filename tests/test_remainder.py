@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rotorwatch.engine.bindings.hypothesis_list import list_hypotheses
 from rotorwatch.flight.kinds import LOSS
 from rotorwatch.toolkit import odds
 from rotorwatch.witnesses import comparing, remainder
@@ -43,6 +44,25 @@ def test_rotors_that_are_known_or_suspected_are_not_claimed_again():
     assert [c.rotors for c in claimed(ticks)] == [(4,)]
     doubted = replace(FIRST, rotors=(4,), alternatives=((2,), (3,)))
     assert claimed(ticks, (FIRST, doubted)) == []
+
+
+def test_the_estimator_sees_a_whole_vehicle_and_its_likeliest_announcement_counts(monkeypatch):
+    ticks = flown(0.25)
+    seen = view(ticks)
+    missing = comparing.missing(ticks, [FIRST])
+    assert missing[-1, 1] == 0.3 * ticks.thrust[-1, 1] and not missing[:, [0, 2, 3]].any()
+    fourth = list_hypotheses(4).names.index("rotor 4")
+
+    def fake(table, B, dynamics):
+        assert np.allclose(table.wrench, ticks.wrench - missing @ QUAD.T) and dynamics is seen.dynamics
+        out = seen.out._replace(announced=np.zeros(len(table.time), bool), log_odds=np.full_like(seen.out.log_odds, -9.0))
+        for k, odds_of in ((300, 5.0), (400, 30.0), (500, 20.0)):
+            out.announced[k], out.log_odds[k, fourth], out.onset[k] = True, odds_of, 40
+        return None, out
+
+    monkeypatch.setattr(remainder, "estimate", fake)
+    (found,) = remainder.claims(seen, [FIRST], missing)
+    assert (found.rotors, found.onset_s, found.detected_s) == ((4,), ticks.command_time[360], ticks.time[400])
 
 
 def test_nothing_is_looked_for_beside_doubted_losses_and_stuck_rotors(monkeypatch):

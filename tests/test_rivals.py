@@ -174,6 +174,18 @@ def test_in_a_fall_rotors_are_told_apart(claimed, alternatives):
     assert all(("of a loss of rotor 1" in e.reason) is bool(alternatives) for e in kept)
 
 
+def test_what_comes_long_after_a_fall_says_nothing_of_it():
+    """Rotor 1 fails; from a second after the loss of control on it is as if rotor 3 had."""
+    first, then = flight(0.6), flight(0.6, 2)
+    until = len(first.part(first.time < ONSET_S + 2.2).time)
+    names = ("thrust", "wrench", "rate_dot")
+    both = {name: np.concatenate([getattr(first, name)[:until], getattr(then, name)[until:]]) for name in names}
+    seen = view(replace(first, **both))
+    seen.lost = (ONSET_S + 1.0,)
+    kept = rivals.WITNESSES[0].hear(seen, (claim(1),))
+    assert [e.alternatives for e in kept if e.rotors == (1,)] == [()]
+
+
 def test_two_seconds_of_contact_accuse_nobody():
     def contact(time):
         return np.outer((time > ONSET_S) & (time < ONSET_S + 2.0), 6.0 * WIND) * np.sin(9.0 * time)[:, None]
