@@ -83,7 +83,7 @@ def test_a_claimed_loss_stands_is_open_or_goes(log_odds, decision):
 @pytest.mark.parametrize(("loss", "change"), [(0.2, np.log(2.0)), (0.0, 0.0), (-0.02, -1.148), (-0.8, -803.92)])
 def test_no_loss_is_negative(loss, change):
     """log(2 Phi(loss / sd)), by the normal distribution's tables and its asymptote -z^2 / 2 - log(-z sqrt(pi / 2))."""
-    fit = Fit(10.0, np.ones(4), np.full(4, loss), np.full(4, 0.02))
+    fit = Fit(10.0, np.full(4, loss), np.full(4, 0.02))
     one = odds.row(odds.Rival("loss", Explanation((1,))), fit)
     assert one.log_p == pytest.approx(10.0 + change, abs=0.25) and one.weak == ((1,) if loss > 0.0 else ())
     stuck = odds.row(odds.Rival("stuck", Explanation((1,), gives=2.0)), fit)
@@ -95,6 +95,8 @@ def test_no_loss_is_negative(loss, change):
     [
         (0.0, (-9.0, -9.0, -9.0), odds.Decision.LOSS),
         (0.0, (-2.8, -2.8, -2.8), odds.Decision.OPEN),  # each is unlikely, but not all together
+        (0.0, (-1.0, -9.0, -9.0), odds.Decision.LOSS),  # with another rotor
+        (0.0, (1.0, -9.0, -9.0), odds.Decision.OPEN),  # which is likelier
         (-4.0, (0.0, -9.0, -9.0), odds.Decision.OPEN),  # another rotor
         (-4.0, (0.0, 0.0, 0.0), odds.Decision.DROPPED),  # none in particular
     ],
@@ -133,7 +135,7 @@ def test_a_common_loss_puts_a_claim_in_doubt_and_changes_no_other_probability():
 
 @pytest.mark.parametrize("lost, weak", [([0.5, 0.6, 0.4, 0.5], ()), ([0.1, 0.6, 0.0, 0.1], (1,))])
 def test_who_loses_more_than_the_others_is_weak_beside_a_common_loss(lost, weak):
-    fit = Fit(0.0, np.ones(4), np.array(lost), np.full(4, 0.1))
+    fit = Fit(0.0, np.array(lost), np.full(4, 0.1))
     assert odds.row(odds.Rival("common", Explanation((0, 1, 2, 3))), fit).weak == weak
 
 

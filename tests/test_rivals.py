@@ -199,6 +199,14 @@ def test_an_open_claim_is_of_all_suspects():
     assert (alone.rotors, alone.interval) == ((2,), claim(2).interval) and (several.rotors, several.interval) == ((1, 2, 3), ())
 
 
+def test_an_open_claim_that_another_rotor_explains_better_is_of_both(monkeypatch):
+    found = rivals._weighed(view(flight(0.3)), claim(1), (claim(1),), True)[0]
+    doubted = found._replace(claim=0.3, others={(2,): 0.7})
+    monkeypatch.setattr(rivals, "_weighed", lambda *given: (doubted, Decision.OPEN))
+    events, (opened,) = rivals._confirmed(view(flight(0.3)), claim(1), ())
+    assert events == [] and opened.rotors == (1, 3)
+
+
 def test_the_wrong_rotor_is_not_left_alone():
     kept, _, _ = heard(flight(0.3, rotor=0), [claim(3)])
     assert all(e.rotors == (1,) or (1,) in e.alternatives for e in kept)

@@ -38,7 +38,7 @@ ELSE = (
 PASSED = " passes"  # of a push that is over
 COMPANIONS = 2  # of these, the likeliest ones, that are tried beside the loss
 TURNS = 2.0  # yaw by a turned mount, of that by the rotor's own torque
-GROWS = 0.02  # of a loss that grows, 1 per sqrt(s)
+GROWS, SAGS = 0.02, 0.07  # of a loss that grows, 1 per sqrt(s); of one of all rotors
 GIVES = 2.0  # of a rotor that is stuck: standard deviation of its thrust, hover thrusts
 CAP = 0.75  # quantile of a rotor's commands that may be its cap
 LATES_S = (0.08, 0.2)  # of a slow motor
@@ -52,7 +52,7 @@ def rivals(n: int, claim: tuple[int, ...], end_s: float, pushed_s: float = np.in
     rest += [Rival(PUSH.name + PASSED, PUSH.how._replace(end_s=pushed_s))] if pushed_s < np.inf else []
     rest += [Rival(f"slow {late:g} s", Explanation((i,), end_s, late=late)) for i in range(n) for late in LATES_S]
     rest += [Rival("turned", Explanation((i,), end_s, turned=TURNS)) for i in range(n)]
-    rest += [Rival(COMMON, Explanation(tuple(range(n)), end_s, grows=GROWS))]
+    rest += [Rival(COMMON, Explanation(tuple(range(n)), end_s, grows=SAGS))]
     singles = [one for i in range(n) if (i,) != claim for one in _losses((i,), end_s)]
     if not claim:
         return [*rest, *singles]

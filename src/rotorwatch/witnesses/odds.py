@@ -230,7 +230,7 @@ class Comparison:
         if found.claim < 1.0 - clear:  # another rotor, or none in particular
             return Decision.OPEN if max(found.others.values(), default=0.0) > 0.5 else Decision.DROPPED
         doubted = found.spared > 1.0 / (1.0 + limits.named) or found.common > 1.0 - clear
-        unsure = doubted or (found.claim < clear and not found.near(limits))
+        unsure = doubted or found.claim < 0.5 or (found.claim < clear and not found.near(limits))
         return Decision.OPEN if unsure else Decision.LOSS
 
     def _settled(self, found: Weighed, limits: Limits) -> Decision:

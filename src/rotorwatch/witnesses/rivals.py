@@ -102,8 +102,10 @@ def _confirmed(view: View, event: Event, events: Events) -> tuple[list[Event], l
     if decision is Decision.DROPPED:
         view.warnings.append(_warning(event))
         return [], []
-    doubted = decision is Decision.OPEN or _faint(event)
-    return ([], [_opened(event, stated(found.claim * (1.0 - found.common)))]) if doubted else ([_named(event, found)], [])
+    if decision is Decision.OPEN or _faint(event):
+        suspected = event if found.claim > 0.5 else _named(event, found)
+        return [], [_opened(suspected, stated(found.claim * (1.0 - found.common)))]
+    return [_named(event, found)], []
 
 
 def _falling(view: View, event: Event, events: Sequence[Event], fall_s: float) -> Event:
