@@ -97,6 +97,7 @@ def test_a_loss_that_may_be_none_is_not_certain(low, named, monkeypatch):
     faint, seen = replace(claim(1), interval=((low, 0.4 - low),)), view(flight(0.3))
     evidence = Event(EVIDENCE, (1,), ONSET_S, ONSET_S + 5.0, ONSET_S + 5.0, (), (), 0.5, source=remainder.SOURCE)
     monkeypatch.setattr(rivals, "_event", lambda *given: faint)
+    assert not rivals._faint(replace(faint, alternatives=((2, 3),)))
     for events, open_ in (rivals._confirmed(seen, faint, (faint,)), rivals._settled(seen, evidence, ())):
         assert [e.rotors for e in events] == [(1,)] * named and [c.rotors for c in open_] == [(1,)] * (not named)
 
