@@ -51,7 +51,7 @@ def recovered(view: View, event: Event, events: Sequence[Event]) -> Event:
     known, rest, slow = list_hypotheses(view.B.shape[1]), [e for e in events if e is not event], lagged(table, view.B, ANSWER_S)
     recovery = next(h for h, who in enumerate(known.rotors) if known.kinds[h] == "recovery" and who == (event.rotors[0] - 1,))
     for k in changes[np.where(known.fault, out.log_odds[changes], -np.inf).argmax(axis=1) == recovery]:
-        end_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
+        end_s = view.began(out, k)
         over, reported = replace(event, end_s=end_s), [*rest, event]
         if end_s > event.detected_s and _log_odds(view, end_s, missing(slow, [*rest, over]), missing(slow, reported)) > CLEAR_NATS:
             return over

@@ -35,5 +35,4 @@ def claims(view: View, known: Sequence[Event], missing: np.ndarray) -> Iterator[
         (rotor,) = them.rotors[h]
         k = int(np.where(best == h, odds[:, h], -np.inf).argmax())
         if rotor + 1 not in suspects:
-            onset_s = float(table.command_time[max(k - round(out.onset[k]), 0)])
-            yield unexplained_evidence.claim((rotor + 1,), onset_s, float(table.time[k]), source=SOURCE)
+            yield unexplained_evidence.claim((rotor + 1,), view.began(out, k), float(table.time[k]), source=SOURCE)

@@ -115,6 +115,11 @@ class View:
         """True if a loss at `onset` [s] begins a spin in which the vehicle flies on, or is one of those in it."""
         return any(start - SPINS_S < onset < end for start, end in self.spins)
 
+    def began(self, out: Any, tick: int) -> float:
+        """Time [s] at which that began which is announced at a tick of these outputs of the table."""
+        assert self.table is not None
+        return float(self.table.command_time[max(tick - round(out.onset[tick]), 0)])
+
     def stands(self, time: float) -> bool:
         """True if the ground carries a part of the vehicle at a time [s]."""
         if self.table is None or not len(self.table.time):
